@@ -126,7 +126,6 @@ def test_a_missing_scheduler_is_refused(monkeypatch):
 
 @pytest.mark.parametrize("workers", ["two", "localhost:8786", "0", 0, 1e9, ""])
 def test_workers_are_a_number_or_an_address(workers):
-    with pytest.raises(InputError, match="workers: must be") as refused:
+    with pytest.raises(InputError, match="workers: must be"):
         checked_workers(workers)
-    assert "\n" not in str(refused.value)
     assert checked_workers("4") == 4

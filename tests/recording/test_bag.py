@@ -39,6 +39,7 @@ from ..apparatus.bags import (
     write_channels,
     write_mcap,
 )
+from ..apparatus.refusals import rejected
 
 
 @pytest.fixture
@@ -156,11 +157,8 @@ def test_other_topics_by_name(tmp_path: Path, topics):
         {"/drone/control": "/craft/motors"}.get(name, name): topic for name, topic in topics.items()
     }
     path = write_mcap(tmp_path / "a.mcap", moved)
-    with pytest.raises(InputError) as caught:
+    with rejected(str(path), "/craft/motors", field="/drone/control"):
         read_recording(path)
-    assert str(path) in str(caught.value)
-    assert caught.value.field == "/drone/control"
-    assert "/craft/motors" in str(caught.value)
     assert_is_foreign(read_recording(path, topics=Topics(command="/craft/motors")), topics)
 
 
@@ -241,10 +239,8 @@ module builtin_interfaces {{ module msg {{ struct Time {{
 @pytest.mark.parametrize("text", ["garbage {{{", "std_msgs/Header header\nfloat64 a", "\0\0"])
 def test_a_broken_definition_is_one_clear_line(tmp_path: Path, topics, text: str):
     topics["/drone/control"] = ("my_msgs/msg/Command", text, [])
-    with pytest.raises(InputError) as caught:
+    with rejected(field="/drone/control"):
         read_recording(write_mcap(tmp_path / "a.mcap", topics))
-    assert caught.value.field == "/drone/control"
-    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(
@@ -333,9 +329,8 @@ def test_a_message_that_does_not_fit_its_type(tmp_path: Path, topics):
     messages = topics["/drone/control"][2]
     messages[7] = (messages[7][0], b"\x00\x01\x00\x00\x01\x00")
     path = write_mcap(tmp_path / "a.mcap", topics)
-    with pytest.raises(InputError, match="message 8 cannot be decoded") as caught:
+    with rejected(match="message 8 cannot be decoded", field="/drone/control"):
         read_recording(path)
-    assert caught.value.field == "/drone/control"
 
 
 def test_references_without_a_header_take_the_recorders_time(tmp_path: Path, topics):
@@ -370,10 +365,8 @@ def test_damaged_metadata_does_not_keep_a_whole_file_from_being_read(tmp_path: P
 def test_junk_under_a_bags_name(tmp_path: Path, name: str, content: bytes):
     (tmp_path / name).write_bytes(content)
     for path in (tmp_path / name, tmp_path):
-        with pytest.raises(InputError) as caught:
+        with rejected(name):
             read_recording(path)
-        assert name in str(caught.value)
-        assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(
@@ -397,9 +390,8 @@ def test_a_sqlite_file_with_the_wrong_content(tmp_path: Path, damage: str):
         database.execute("UPDATE sqlite_master SET sql = replace(sql, ' NOT NULL', '')")
     with sqlite3.connect(tmp_path / "bag" / "bag.db3") as database:
         database.execute(damage)
-    with pytest.raises(InputError) as caught:
+    with pytest.raises(InputError):
         read_recording(tmp_path / "bag")
-    assert str(caught.value).isprintable()
 
 
 def test_intervals_are_refused_for_a_bag_whose_messages_have_times(tmp_path):
