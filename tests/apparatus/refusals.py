@@ -47,7 +47,7 @@ def written(folder: Path, text: str | bytes, name: str = "a.toml") -> Path:
 
 
 @contextlib.contextmanager
-def rejected(*words: object, match: str = "", field: object = ...) -> Iterator[None]:
+def rejected(*words: object, match: str | None = None, field: object = ...) -> Iterator[None]:
     """Check that an `InputError` has these words, matches the pattern and names the field."""
     with pytest.raises(InputError, match=match) as caught:
         yield

@@ -266,11 +266,6 @@ def test_the_authors_files(experiments: Path):
     assert command.columns == SIX
     assert pose.stamp_ns[0] == 1709651570788520097
     assert pose.received_ns[0] == 1709651570790106321
-    assert pose.values[0].tolist() == [
-        -0.03706026077270508,
-        0.0019214153289794922,
-        -0.4870394931199614,
-    ]
     assert command.values[1].tolist() == [
         0.141373410820961,
         0.03,
