@@ -7,18 +7,15 @@ import numpy as np
 import pytest
 from jaxtyping import Float
 
-from airpuck.data.trajectory import Trajectory
+from airpuck import Fit, Preparation, Trajectory, Twin, TwinSettings
 from airpuck.identification.fit import identify
-from airpuck.identification.fit_result import Fit
-from airpuck.identification.settings import Preparation
 from airpuck.model.model_file import published_model
 from airpuck.preprocessing.pipeline import preprocess
 from airpuck.twin import craft as craft_module
 from airpuck.twin import experiments
 from airpuck.twin.plant import Plant, build_plant
 from airpuck.twin.radio import RadioLink
-from airpuck.twin.settings import TwinSettings, default_twin_settings
-from airpuck.twin.twin import Twin
+from airpuck.twin.settings import default_twin_settings
 
 from .once import once
 

@@ -6,15 +6,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from airpuck import commission, read_model, read_vehicle
+from airpuck import Twin, TwinSettings, Vehicle, commission, read_model, read_vehicle
 from airpuck.commissioning.commission import STEPS
 from airpuck.commissioning.excitations import Excitations
-from airpuck.craft.vehicle import Vehicle, default_vehicle
+from airpuck.craft.vehicle import default_vehicle
 from airpuck.evaluation.presentation import largest_acceleration
 from airpuck.model.model_file import nominal_model, published_model
 from airpuck.report.commissioning_report import commissioning_report
-from airpuck.twin.settings import TwinSettings
-from airpuck.twin.twin import Twin
 
 pytestmark = pytest.mark.slow
 

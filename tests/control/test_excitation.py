@@ -4,12 +4,11 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
-from airpuck.boundary.errors import InputError
+from airpuck import InputError, SetPoint, Vehicle
 from airpuck.control.authority import control_authority, weakest_effort
 from airpuck.control.excitation import Excitation
-from airpuck.control.reference import SetPoint
 from airpuck.control.settings import ExcitationPlan, read_excitation_plan
-from airpuck.craft.vehicle import Vehicle, default_vehicle
+from airpuck.craft.vehicle import default_vehicle
 from airpuck.model.model_file import nominal_model
 
 from ..apparatus.refusals import rejected

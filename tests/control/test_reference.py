@@ -6,18 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import trapezoid
 
-from airpuck.boundary.errors import InputError
-from airpuck.control.reference import (
-    Reference,
-    Rendezvous,
-    SetPoint,
-    SetPoints,
-    TimedPath,
-    asked,
-    check_inside,
-    read_setpoints,
-)
-from airpuck.control.tracking import TrackingController
+from airpuck import InputError, Rendezvous, SetPoint, SetPoints, TimedPath, TrackingController
+from airpuck.control.reference import Reference, asked, check_inside, read_setpoints
 from airpuck.control.tuning import default_tuning
 from airpuck.estimate.estimator import Estimate
 from airpuck.model.model_file import read_model

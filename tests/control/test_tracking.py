@@ -9,11 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from airpuck.boundary.errors import InputError
+from airpuck import InputError, SetPoint, SetPoints, TimedPath, TrackingController
 from airpuck.control import tracking
 from airpuck.control.lqr import motor_lag
-from airpuck.control.reference import SetPoint, SetPoints, TimedPath
-from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import default_tuning
 from airpuck.estimate.estimator import Estimate
 from airpuck.model.parameters import nominal_parameters

@@ -5,13 +5,8 @@ from itertools import count, takewhile
 import numpy as np
 import pytest
 
-from airpuck.boundary.errors import InputError
+from airpuck import Fence, InputError, Measurement, SetPoint, Step, TrackingController
 from airpuck.control.allocation import Daqp
-from airpuck.control.law import Step
-from airpuck.control.limits import Fence
-from airpuck.control.reference import SetPoint
-from airpuck.control.tracking import TrackingController
-from airpuck.data.measurement import Measurement
 
 from ..apparatus.closed_loops import FRAME, IDLE, MODEL, NOTHING, controller, hold_still, idles
 

@@ -9,22 +9,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from airpuck.boundary.errors import InputError
+from airpuck import InputError, LawSettings, SetPoint, TrackingController, Tuning
 from airpuck.control.excitation import Excitation
 from airpuck.control.laws import LAWS
 from airpuck.control.lqr import LQRSettings, Weights, lqr_gain, point_mass
 from airpuck.control.predictive import PredictiveSettings, SoftLimits
-from airpuck.control.reference import SetPoint
-from airpuck.control.tracking import TrackingController
-from airpuck.control.tuning import (
-    ChosenLaw,
-    Estimation,
-    LawSettings,
-    Tuning,
-    default_tuning,
-    read_tuning,
-    tuning_for,
-)
+from airpuck.control.tuning import ChosenLaw, Estimation, default_tuning, read_tuning, tuning_for
 from airpuck.craft.vehicle import default_vehicle, read_vehicle
 from airpuck.model.model_file import nominal_model
 from airpuck.model.uncertainty import Cameras

@@ -3,14 +3,8 @@
 import numpy as np
 import pytest
 
-from airpuck.boundary.errors import InputError
-from airpuck.craft.vehicle import (
-    Vehicle,
-    default_vehicle,
-    match_columns,
-    read_vehicle,
-    unnamed_columns,
-)
+from airpuck import InputError, Vehicle
+from airpuck.craft.vehicle import default_vehicle, match_columns, read_vehicle, unnamed_columns
 
 QUAD = """
 name = "quad"

@@ -5,10 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airpuck.boundary.errors import InputError
+from airpuck import InputError, Model, PaperEncoder
 from airpuck.craft.vehicle import default_vehicle
 from airpuck.data.windows import make_windows
-from airpuck.estimate.encoder import PaperEncoder
 from airpuck.experiment_design.forecast import (
     ComparedQuantities,
     Forecast,
@@ -16,7 +15,7 @@ from airpuck.experiment_design.forecast import (
     information_of,
     joined,
 )
-from airpuck.model.model_file import Model, published_model
+from airpuck.model.model_file import published_model
 from airpuck.model.rungs import named_rung
 
 from ..apparatus.beliefs import uncertainty

@@ -10,8 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from airpuck import export
-from airpuck.boundary.errors import InputError
+from airpuck import InputError, export
 from airpuck.export.casadi import functions
 from tests.apparatus.export_crafts import (
     ALL_EFFECTS,

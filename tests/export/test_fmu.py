@@ -17,13 +17,11 @@ from fmpy.build import build_platform_binary
 from fmpy.fmi3 import FMU3Slave
 from fmpy.validation import validate_fmu
 
-from airpuck.boundary.errors import InputError
-from airpuck.craft.table import Table
+from airpuck import InputError, Model, Table, Twin, TwinSettings
 from airpuck.export import write
-from airpuck.model.model_file import Model, published_model
+from airpuck.model.model_file import published_model
 from airpuck.twin.plant import build_plant
-from airpuck.twin.settings import Effects, OnBoard, TwinSettings, default_twin_settings
-from airpuck.twin.twin import Twin
+from airpuck.twin.settings import Effects, OnBoard, default_twin_settings
 
 from ..apparatus.c_programs import SANITIZED, STRICT, build, compiler
 from ..apparatus.export_crafts import FOUR

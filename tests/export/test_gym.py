@@ -10,14 +10,12 @@ import pytest
 from gymnasium.utils.env_checker import check_env, data_equivalence
 from gymnasium.vector import AutoresetMode
 
-from airpuck.boundary.errors import InputError
-from airpuck.craft.table import Table
+from airpuck import InputError, Table, Twin
 from airpuck.export import write
 from airpuck.export.gym import ENVIRONMENTS, CourseEnv, CourseVectorEnv
 from airpuck.export.gym_task import CourseTask
 from airpuck.model.model_file import published_model
 from airpuck.twin.experiments import COURSES
-from airpuck.twin.twin import Twin
 
 from ..apparatus.environments import MODEL, NOISELESS, PERIOD, SETTINGS, actions, flown
 

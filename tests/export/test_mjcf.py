@@ -9,9 +9,7 @@ import mujoco.rollout
 import numpy as np
 import pytest
 
-from airpuck import export
-from airpuck.boundary.errors import InputError
-from airpuck.craft.table import Table
+from airpuck import InputError, Table, export
 from airpuck.export import mujoco_craft as craft
 from airpuck.export.mjcf import xml
 from airpuck.twin.settings import default_twin_settings

@@ -5,15 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airpuck.craft.vehicle import Vehicle, default_vehicle
-from airpuck.data.trajectory import Trajectory
+from airpuck import Model, Recording, Trajectory, Vehicle
+from airpuck.craft.vehicle import default_vehicle
 from airpuck.faults.find import find_faults
 from airpuck.faults.layout_check import check_layout
 from airpuck.faults.strengths import find_strengths, on_table_of, recording_findings, usual_rung
 from airpuck.identification.fit import identify
-from airpuck.model.model_file import Model, nominal_model
+from airpuck.model.model_file import nominal_model
 from airpuck.preprocessing.pipeline import preprocess
-from airpuck.recording.stream import Recording
 from airpuck.twin.experiments import excite
 
 from ..apparatus.beliefs import believed

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from airpuck.boundary.errors import InputError
+from airpuck import InputError, Twin, TwinSettings
 from airpuck.flight.loop import fly
 from airpuck.flight.preflight import (
     Preflight,
@@ -27,8 +27,7 @@ from airpuck.live.safety import Guard, GuardedPilot
 from airpuck.model.model_file import nominal_model, published_model
 from airpuck.physics.rigid_body import acceleration_map
 from airpuck.twin.plant import build_plant
-from airpuck.twin.settings import MotionCapture, Radio, TwinSettings
-from airpuck.twin.twin import Twin
+from airpuck.twin.settings import MotionCapture, Radio
 
 from ..apparatus.models import four_propellers, scaled
 

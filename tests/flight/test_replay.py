@@ -7,16 +7,14 @@ import numpy as np
 import pytest
 from scipy.stats import pearsonr
 
-from airpuck.boundary.errors import InputError
+from airpuck import InputError, Recording, Replay, SetPoints, Vehicle
 from airpuck.control.law import Status
 from airpuck.control.lqr import LQRSettings
-from airpuck.control.reference import SetPoints
 from airpuck.control.tuning import default_tuning
-from airpuck.craft.vehicle import Vehicle, default_vehicle
-from airpuck.flight.replay import Gains, Replay, replay
+from airpuck.craft.vehicle import default_vehicle
+from airpuck.flight.replay import Gains, replay
 from airpuck.flight.track import Track
 from airpuck.model.model_file import nominal_model, published_model
-from airpuck.recording.stream import Recording
 from airpuck.twin.experiments import track
 from airpuck.twin.plant import build_plant
 from airpuck.twin.sensors import EPOCH_NS

@@ -2,12 +2,11 @@
 
 import pytest
 
-from airpuck.boundary.errors import InputError
+from airpuck import InputError, Table
 from airpuck.boundary.files import write_toml
 from airpuck.cli import app as application
 from airpuck.cli.live import Guarded
 from airpuck.control.settings import ExcitationPlan
-from airpuck.craft.table import Table
 from airpuck.model.model_file import published_model
 
 MODEL = "paper:M3"

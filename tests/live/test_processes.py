@@ -13,13 +13,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airpuck import identify, plan, preprocess, read_recording
+from airpuck import Limits, Recording, Stream, identify, plan, preprocess, read_recording
 from airpuck.flight.track import Track
 from airpuck.live.graph import SENSOR, STATE, Graph
 from airpuck.model.model_file import published_model
-from airpuck.planning.settings import Limits
 from airpuck.recording.message import MessageCodec, StreamCodec, definitions
-from airpuck.recording.stream import Recording, Stream
 from airpuck.twin.experiments import track
 from airpuck.twin.settings import default_twin_settings
 

@@ -8,9 +8,8 @@ import pytest
 import tomli_w
 
 import airpuck
-from airpuck.boundary.errors import InputError
+from airpuck import AirHockey, InputError
 from airpuck.control.tuning import read_tuning
-from airpuck.craft.table import AirHockey
 from airpuck.craft.vehicle import default_vehicle, read_vehicle
 from airpuck.model.model_file import nominal_model, published_model, read_model
 from airpuck.recording.mapping import read_mapping

@@ -7,14 +7,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from airpuck.boundary.errors import InputError
+from airpuck import InputError, Recording
 from airpuck.data.windows import make_windows
 from airpuck.evaluation.evaluate import evaluate
 from airpuck.identification.fit import identify
 from airpuck.model.model_file import published_model
 from airpuck.preprocessing.pipeline import load_all, preprocess
 from airpuck.recording.bag import write_bag
-from airpuck.recording.stream import Recording
 
 from ..apparatus.examples import examples
 from ..apparatus.public_recordings import BLUE

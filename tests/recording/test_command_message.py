@@ -4,16 +4,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from airpuck.boundary.errors import InputError
+from airpuck import CommandMapping, InputError, PoseMapping, RecordingMapping
 from airpuck.craft.vehicle import default_vehicle
 from airpuck.preprocessing.pipeline import clean_streams
-from airpuck.recording.mapping import (
-    CommandMapping,
-    PoseMapping,
-    RecordingMapping,
-    Topics,
-    read_mapping,
-)
+from airpuck.recording.mapping import Topics, read_mapping
 from airpuck.recording.read import read_recording
 
 from ..apparatus.bags import START_NS, Topic, foreign_topics, ros_header, ros_topic, write_mcap

@@ -6,12 +6,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from airpuck.boundary.errors import InputError
+from airpuck import InputError, Recording, Stream
 from airpuck.recording.conversion import yaw_of
 from airpuck.recording.csv_folder import write_csv
 from airpuck.recording.mapping import Topics
 from airpuck.recording.read import read_recording
-from airpuck.recording.stream import Recording, Stream
 
 from ..apparatus.bags import SIX, flight
 from ..apparatus.examples import examples

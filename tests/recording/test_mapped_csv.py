@@ -3,12 +3,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from airpuck.boundary.errors import InputError
+from airpuck import CommandMapping, InputError, Recording, RecordingMapping
 from airpuck.preprocessing.quality import drop_disorder
 from airpuck.recording.csv_table import CsvTable, read_rows
-from airpuck.recording.mapping import CommandMapping, RecordingMapping, read_mapping
+from airpuck.recording.mapping import read_mapping
 from airpuck.recording.read import read_recording
-from airpuck.recording.stream import Recording
 
 from ..apparatus.refusals import rejected
 

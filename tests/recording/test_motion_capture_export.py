@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from airpuck.boundary.errors import InputError
-from airpuck.recording.mapping import CommandMapping, PoseMapping, RecordingMapping
+from airpuck import CommandMapping, InputError, PoseMapping, RecordingMapping
 from airpuck.recording.read import read_recording
 
 from ..apparatus.refusals import rejected

@@ -4,11 +4,10 @@ from pathlib import Path
 
 import pytest
 
-from airpuck.boundary.errors import InputError
+from airpuck import InputError, Recording
 from airpuck.recording.bag import write_bag
 from airpuck.recording.csv_folder import write_csv
 from airpuck.recording.read import read_recording
-from airpuck.recording.stream import Recording
 
 from ..apparatus.bags import flight
 from ..apparatus.refusals import rejected

@@ -11,10 +11,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from airpuck.boundary.errors import InputError
-from airpuck.craft.vehicle import Vehicle
+from airpuck import InputError, Recording, Vehicle
 from airpuck.recording.read import read_recording
-from airpuck.recording.stream import COLUMNS, Recording
+from airpuck.recording.stream import COLUMNS
 from airpuck.report.animation import Mover, animate, moving_drawing
 from airpuck.report.scene import TABLE
 

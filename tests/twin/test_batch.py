@@ -6,12 +6,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from airpuck.boundary.errors import InputError
-from airpuck.craft.table import Table
+from airpuck import InputError, Table, Twin, TwinBatch, TwinSettings
 from airpuck.identification.fit import identify
 from airpuck.model.model_file import published_model
 from airpuck.preprocessing.pipeline import preprocess
-from airpuck.twin.batch import TwinBatch
 from airpuck.twin.settings import (
     Effects,
     MotionCapture,
@@ -19,10 +17,8 @@ from airpuck.twin.settings import (
     OnBoard,
     Radio,
     Stall,
-    TwinSettings,
     read_twin_settings,
 )
-from airpuck.twin.twin import Twin
 
 from ..apparatus import typechecker
 

@@ -9,12 +9,9 @@ import numpy as np
 import pytest
 
 import airpuck
-from airpuck import read_recording, write_bag
-from airpuck.boundary.errors import InputError
-from airpuck.control.reference import SetPoint, SetPoints
+from airpuck import InputError, SetPoint, SetPoints, Table, Vehicle, read_recording, write_bag
 from airpuck.control.tuning import default_tuning
-from airpuck.craft.table import Table
-from airpuck.craft.vehicle import Vehicle, default_vehicle
+from airpuck.craft.vehicle import default_vehicle
 from airpuck.flight.track import Track
 from airpuck.model.model_file import nominal_model, published_model
 from airpuck.twin import experiments as module

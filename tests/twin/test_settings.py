@@ -4,8 +4,8 @@ import math
 
 import pytest
 
-from airpuck.boundary.errors import InputError
-from airpuck.craft.table import Contact, Mallet, Puck, Table
+from airpuck import InputError, Table, TwinSettings
+from airpuck.craft.table import Contact, Mallet, Puck
 from airpuck.model.model_file import published_model
 from airpuck.twin.settings import (
     Effects,
@@ -15,7 +15,6 @@ from airpuck.twin.settings import (
     Radio,
     Stall,
     Starts,
-    TwinSettings,
     Weakness,
     default_twin_settings,
     read_twin_settings,

@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 
 import airpuck
-from airpuck.boundary.errors import InputError
+from airpuck import InputError, SetPoints
 from airpuck.cli.output import write_json
 from airpuck.control.laws import PAPERS
-from airpuck.control.reference import SetPoints
 from airpuck.model.model_file import published_model
 from airpuck.report.tables import tracking_tables
 from airpuck.twin.experiments import track

@@ -7,18 +7,15 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from airpuck.boundary.errors import InputError
+from airpuck import InputError, PuckState, Table, Twin, TwinSettings
 from airpuck.control.excitation import Excitation
-from airpuck.craft.table import Table
 from airpuck.model.model_file import nominal_model, published_model
-from airpuck.physics.puck import PuckState
 from airpuck.physics.rigid_body import rollout
 from airpuck.preprocessing.pipeline import preprocess
 from airpuck.recording.bag import write_bag
 from airpuck.twin.plant import build_plant
 from airpuck.twin.play import World
-from airpuck.twin.settings import Effects, MotionCapture, OnBoard, Radio, TwinSettings
-from airpuck.twin.twin import Twin
+from airpuck.twin.settings import Effects, MotionCapture, OnBoard, Radio
 
 MODEL = replace(
     published_model("M3"),

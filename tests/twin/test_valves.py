@@ -6,14 +6,12 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from airpuck import ActuatorKind, InputError
+from airpuck import ActuatorKind, InputError, Model, Twin, TwinBatch, Vehicle
 from airpuck.craft.actuators import OnOff
-from airpuck.craft.vehicle import Propeller, Vehicle, default_vehicle
-from airpuck.model.model_file import Model, nominal_model
-from airpuck.twin.batch import TwinBatch
+from airpuck.craft.vehicle import Propeller, default_vehicle
+from airpuck.model.model_file import nominal_model
 from airpuck.twin.craft import Driver
 from airpuck.twin.settings import default_twin_settings
-from airpuck.twin.twin import Twin
 
 FORCE, MASS = 0.5, 10.0
 DEAD, RISE, FALL = 0.0123, 0.006, 0.02

@@ -7,11 +7,9 @@ import pytest
 
 import airpuck
 import airpuck_hockey
-from airpuck.boundary.errors import InputError
-from airpuck.control.reference import SetPoint
+from airpuck import InputError, SetPoint
+from airpuck_hockey import Game, Intention
 from airpuck_hockey.game.contestant import PLAYERS, contestant
-from airpuck_hockey.game.game import Game
-from airpuck_hockey.player.tactic import Intention
 from tests.apparatus.refusals import rejected
 
 TACTICS = """

@@ -7,16 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airpuck.boundary.errors import InputError
-from airpuck.control.law import Pilot, Step
+from airpuck import InputError, Pilot, PuckState, Step
 from airpuck.model.model_file import read_model
-from airpuck.physics.puck import PuckState
 from airpuck.recording.bag import write_bag
 from airpuck.recording.read import read_recording
 from airpuck.twin.settings import default_twin_settings
+from airpuck_hockey import Game, Rules
 from airpuck_hockey.game.contestant import Contestant, contestant
-from airpuck_hockey.game.game import Game, serve
-from airpuck_hockey.game.rules import Rules
+from airpuck_hockey.game.game import serve
 
 HARD, EASY = contestant("human:hard"), contestant("human:easy")
 

@@ -5,13 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from airpuck.craft.table import AirHockey
-from airpuck.physics.puck import PuckState
+from airpuck import AirHockey, PuckState
 from airpuck.physics.puck_on_table import PuckOnTable
 from airpuck.twin.settings import default_twin_settings
+from airpuck_hockey import Game, Rules
 from airpuck_hockey.game.contestant import contestant
-from airpuck_hockey.game.game import Game
-from airpuck_hockey.game.rules import Rules
 from airpuck_hockey.game.scorekeeper import Scorekeeper
 
 PLAY = AirHockey()

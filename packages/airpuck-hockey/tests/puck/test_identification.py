@@ -6,13 +6,11 @@ import re
 import numpy as np
 import pytest
 
-from airpuck.boundary.errors import InputError
-from airpuck.craft.table import AirHockey, Contact, Puck, Table
+from airpuck import AirHockey, InputError, PuckState, Recording, Stream, Table, Twin
+from airpuck.craft.table import Contact, Puck
 from airpuck.model.model_file import published_model
-from airpuck.physics.puck import PuckState
 from airpuck.physics.puck_on_table import PuckOnTable
-from airpuck.recording.stream import COLUMNS, Recording, Stream
-from airpuck.twin.twin import Twin
+from airpuck.recording.stream import COLUMNS
 from airpuck_hockey.puck.flights import find_flights, noise_of
 from airpuck_hockey.puck.identification import identify_puck, value_of
 

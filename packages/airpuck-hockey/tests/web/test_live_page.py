@@ -11,9 +11,7 @@ import numpy as np
 import pytest
 
 import airpuck
-from airpuck.control.law import Step
-from airpuck.craft.table import AirHockey
-from airpuck.data.measurement import Measurement
+from airpuck import AirHockey, Measurement, Step
 from airpuck.flight.loop import Action
 from airpuck.live.graph import SENSOR, Graph
 from airpuck.live.process import Process
@@ -22,9 +20,9 @@ from airpuck.recording.message import StreamCodec
 from airpuck.web.page import Pages
 from airpuck.web.requests import Wish, packed_wish
 from airpuck.web.server import EVENT, ORDER, SCENE, STATE, THOUGHT, WISH
+from airpuck_hockey import Player
 from airpuck_hockey.game.rules import Ruling
 from airpuck_hockey.game.scorekeeper import Score
-from airpuck_hockey.player.player import Player
 from airpuck_hockey.web.live_page import LivePage
 
 pytestmark = pytest.mark.slow
