@@ -153,24 +153,6 @@ def test_a_file_that_the_controller_refuses_is_named(tmp_path):
     assert refused(process, "mine.toml: law.mpc.block", "240 commands; at most 200")
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "word"),
-    [
-        ("inertia_kg_m2 = ", "inertia_kg_m2 = true #", "inertia_kg_m2"),
-        ("inertia_kg_m2 = ", 'inertia_kg_m2 = "0.1" #', "inertia_kg_m2"),
-        ("inertia_kg_m2 = ", "inertia_kg_m2 = nan #", "inertia_kg_m2"),
-        ("[free]", "[free]\ninertai = true", "inertai"),
-    ],
-)
-def test_wrong_types_in_a_model_file(archive, tmp_path, old, new, word):
-    from airpuck.model.model_file import published_model
-
-    path = tmp_path / "model.toml"
-    published_model("M3").save(path)
-    path.write_text(path.read_text().replace(old, new, 1))
-    assert refused(airpuck("evaluate", path, archive), "model.toml", word)
-
-
 @pytest.mark.slow
 def test_motors_that_never_move_are_named(tmp_path):
     recording = record(duration=4.0, noise=1e-4)

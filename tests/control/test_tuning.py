@@ -91,7 +91,8 @@ angular_disturbance_density = 0.4
             Estimation,
             **dict.fromkeys(set(Estimation.model_fields) - {"estimator"}, positive)
             | dict.fromkeys(["disturbance_density", "angular_disturbance_density"], non_negative),
-        ),    )
+        ),
+    )
 )
 def test_a_saved_tuning_reads_back_equal(tmp_path_factory, tuning):
     path = tmp_path_factory.mktemp("tuning") / "tuning.toml"

@@ -96,17 +96,14 @@ def flight(domain, player):
 
 
 class Table:
-    """A table whose mallet a page may move."""
+    """A table whose mallet a page may move, or a recorder of where a page wants it."""
 
-    def __init__(self, domain: int, *, guided: bool) -> None:
+    def __init__(self, domain: int, *, sees: bool = True, guided: bool = False) -> None:
         self.graph, self._codec = Graph("table", domain=domain), StreamCodec("mallet_target")
-        codec = self._codec
-        self.graph.publisher("/optitrack/mallet/pose", codec.msgtype, codec.types, SENSOR)
-        self._heard = None
-        if guided:
-            self._heard = self.graph.subscription(
-                "/mallet/target", codec.msgtype, codec.types, SENSOR
-            )
+        kind = self._codec.msgtype, self._codec.types, SENSOR
+        if sees:
+            self.graph.publisher("/optitrack/mallet/pose", *kind)
+        self._heard = self.graph.subscription("/mallet/target", *kind) if guided else None
 
     def wanted(self) -> list:
         """Return the page's targets for the mallet since the last call."""
@@ -200,12 +197,7 @@ def test_who_sits_at_a_page_moves_a_mallet_that_is_guided(flight, domain):
 
 def test_pages_only_show_where_the_human_is_at_the_table(flight, domain):
     """A recorder receives everything, but sends no poses of a mallet."""
-    table, recorder = Table(domain, guided=False), Table.__new__(Table)
-    recorder.graph, recorder._codec = Graph("recorder", domain=domain), StreamCodec("mallet_target")
-    codec = recorder._codec
-    recorder._heard = recorder.graph.subscription(
-        "/mallet/target", codec.msgtype, codec.types, SENSOR
-    )
+    table, recorder = Table(domain), Table(domain, sees=False, guided=True)
     try:
         flight.ask("sit")
         graph = flight.process.graph
