@@ -17,6 +17,7 @@ from airpuck.twin.plant import Plant, build_plant
 from airpuck.twin.radio import RadioLink
 from airpuck.twin.settings import default_twin_settings
 
+from .changes import changed
 from .once import once
 
 PUBLISHED = published_model("M3")
@@ -56,12 +57,9 @@ def plant() -> Plant:
 
 def settings(jitter: float, noise: bool = True) -> TwinSettings:
     """The packaged twin with another jitter [s], or with perfect cameras."""
-    twin = default_twin_settings()
-    changed: dict = {"radio": twin.radio.model_copy(update={"jitter_s": jitter})}
-    if not noise:
-        perfect = {"position_noise_m": 0.0, "yaw_noise_rad": 0.0}
-        changed["motion_capture"] = twin.motion_capture.model_copy(update=perfect)
-    return twin.model_copy(update=changed)
+    perfect = {} if noise else {"position_noise_m": 0.0, "yaw_noise_rad": 0.0}
+    radio = {"jitter_s": jitter}
+    return changed(default_twin_settings(), radio=radio, motion_capture=perfect)
 
 
 @once

@@ -20,6 +20,7 @@ from airpuck.cli.options import published_flights
 from airpuck.model.model_file import read_model
 from airpuck.report import reproduce as paper
 
+from ..apparatus.changes import with_propellers
 from ..apparatus.commands import airpuck, airpuck_process, ran, refused
 from ..apparatus.synthetic_flights import record
 
@@ -125,13 +126,8 @@ def test_check_agrees_and_disagrees(bag, tmp_path):
     from airpuck.craft.vehicle import default_vehicle
 
     vehicle = default_vehicle()
-    names = list(vehicle.propeller_names)
-    names[0], names[3] = names[3], names[0]
-    swapped = [
-        propeller.model_copy(update={"name": name})
-        for name, propeller in zip(names, vehicle.propellers, strict=True)
-    ]
-    vehicle.model_copy(update={"propellers": tuple(swapped)}).save(tmp_path / "swapped.toml")
+    names = [vehicle.propeller_names[k] for k in (3, 1, 2, 0, 4, 5)]
+    with_propellers(vehicle, lambda k, _: {"name": names[k]}).save(tmp_path / "swapped.toml")
     process = airpuck("check", bag, "--vehicle", tmp_path / "swapped.toml")
     assert process.returncode == 2
     assert "swapped" in process.stdout

@@ -17,6 +17,7 @@ from airpuck.estimate.estimator import Estimate
 from airpuck.model.parameters import nominal_parameters
 from airpuck.physics.rigid_body import acceleration
 
+from ..apparatus.changes import with_propellers
 from ..apparatus.closed_loops import (
     HOME,
     LEAST,
@@ -266,18 +267,15 @@ def that_cannot_turn() -> Model:
     return replace(MODEL, parameters=replace(MODEL.parameters, configuration_matrix=matrix))
 
 
-def with_propellers(change) -> Model:
+def on_other_propellers(change) -> Model:
     """The model of the vehicle whose propellers have other keys, by their number."""
-    propellers = tuple(
-        one.model_copy(update=change(k)) for k, one in enumerate(MODEL.vehicle.propellers)
-    )
-    vehicle = MODEL.vehicle.model_copy(update={"propellers": propellers})
+    vehicle = with_propellers(MODEL.vehicle, change)
     parameters = nominal_parameters(vehicle)
     free = parameters.mask(frozenset())
     return replace(MODEL, vehicle=vehicle, parameters=parameters, free=free)
 
 
-def one_way(k: int) -> dict:
+def one_way(k: int, _) -> dict:
     """Three tangential propellers span all accelerations, but only with negative thrusts."""
     position = (0.05 * np.cos(2.0944 * k), 0.05 * np.sin(2.0944 * k))
     return {"direction_deg": 90.0 + 120.0 * k, "position_m": position}
@@ -289,10 +287,10 @@ def one_way(k: int) -> dict:
         (with_curves(), "thrust curve of propeller 3 falls"),
         (that_cannot_turn(), "cannot push and turn in every direction"),
         (
-            with_propellers(lambda k: {"direction_deg": 180.0 * k}),
+            on_other_propellers(lambda k, _: {"direction_deg": 180.0 * k}),
             r"no propeller .*no controller can steer it",
         ),
-        (with_propellers(one_way), "cannot push and turn in every direction"),
+        (on_other_propellers(one_way), "cannot push and turn in every direction"),
     ],
     ids=["a falling curve", "no turn", "one line", "one sense of rotation"],
 )

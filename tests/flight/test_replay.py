@@ -20,6 +20,7 @@ from airpuck.twin.plant import build_plant
 from airpuck.twin.sensors import EPOCH_NS
 from airpuck.twin.settings import MotionCapture, Radio, default_twin_settings
 
+from ..apparatus.changes import changed
 from ..apparatus.refusals import rejected
 from ..apparatus.synthetic_flights import bad_value, edited, shuffled
 
@@ -29,18 +30,13 @@ LEAST = M4.vehicle.command_min
 SET_POINTS = SetPoints([0.0, 0.505, 2.005], [(0, 0, 0), (0.2, -0.1, 0.8), (-0.1, 0.1, -0.9)])
 NOISY = default_twin_settings()
 # Frames every 4 ms with 6.5 ms latency: no stamp is rounded, and none arrives with a command.
-CLEAN = NOISY.model_copy(
-    update={
-        "radio": Radio(delay_s=M4.transport_delay, jitter_s=0.0),
-        "motion_capture": MotionCapture(
-            rate_hz=250,
-            position_noise_m=0,
-            yaw_noise_rad=0,
-            latency_s=0.0065,
-            latency_jitter_s=0,
-        ),
-        "on_board": NOISY.on_board.model_copy(update={"rate_hz": 0}),
-    }
+CLEAN = changed(
+    NOISY,
+    radio=Radio(delay_s=M4.transport_delay, jitter_s=0.0),
+    motion_capture=MotionCapture(
+        rate_hz=250, position_noise_m=0, yaw_noise_rad=0, latency_s=0.0065, latency_jitter_s=0
+    ),
+    on_board={"rate_hz": 0},
 )
 PAPER: dict[str, Any] = {"compensate_delay": False, "reject_disturbance": False}
 OURS: dict[str, Any] = {"compensate_delay": True, "reject_disturbance": True}

@@ -17,6 +17,7 @@ from airpuck.recording.stream import COLUMNS
 from airpuck.report.animation import Mover, animate, moving_drawing
 from airpuck.report.scene import TABLE
 
+from ..apparatus.changes import with_propellers
 from ..apparatus.drawn_flights import CRAFT, EPOCH, flight, stream, with_pose
 from ..apparatus.models import VEHICLES, four_propellers
 
@@ -129,13 +130,10 @@ def test_a_page_needs_nothing_from_outside_and_runs_nothing_foreign(tmp_path):
     assert "url(" not in text.replace("url(#fade)", "")
     assert text.count("<script") == 2
     assert "<img" not in text
-    names = tuple(f"</script>{i}" for i in range(6))
-    propellers = tuple(
-        p.model_copy(update={"name": n}) for p, n in zip(CRAFT.propellers, names, strict=True)
-    )
-    craft = CRAFT.model_copy(update={"propellers": propellers, "pairs": ()})
+    craft = with_propellers(CRAFT, lambda k, _: {"name": f"</script>{k}"})
+    craft = craft.model_copy(update={"pairs": ()})
     page = animate(flight(craft), tmp_path / "b.html", vehicle=craft)
-    assert page_data(page)["craft"]["names"] == list(names)
+    assert page_data(page)["craft"]["names"] == list(craft.propeller_names)
 
 
 @pytest.mark.skipif(shutil.which("node") is None, reason="needs Node.js")

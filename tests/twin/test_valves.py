@@ -13,19 +13,20 @@ from airpuck.model.model_file import nominal_model
 from airpuck.twin.craft import Driver
 from airpuck.twin.settings import default_twin_settings
 
+from ..apparatus.changes import changed
+
 FORCE, MASS = 0.5, 10.0
 DEAD, RISE, FALL = 0.0123, 0.006, 0.02
 
 
 def craft(**times: float) -> Model:
     """One thruster along x; its radio has no delay."""
-    nominal = default_vehicle().nominal.model_copy(
-        update={
-            "thrust_N": (FORCE,),
-            "inertia_kg_m2": 0.05,
-            "motor_time_constant_s": (RISE + FALL) / 2,
-            "transport_delay_s": DEAD,
-        }
+    nominal = changed(
+        default_vehicle().nominal,
+        thrust_N=(FORCE,),
+        inertia_kg_m2=0.05,
+        motor_time_constant_s=(RISE + FALL) / 2,
+        transport_delay_s=DEAD,
     )
     known = {"dead_time_s": DEAD, "rise_s": RISE, "fall_s": FALL, **times}
     vehicle = Vehicle(
@@ -41,13 +42,7 @@ def craft(**times: float) -> Model:
 
 def flown(model: Model, *sent: tuple[float, float], until: float) -> tuple[float, float]:
     """Return position and speed along x after commands (time, level)."""
-    quiet = default_twin_settings().model_copy(
-        update={
-            "radio": default_twin_settings().radio.model_copy(
-                update={"jitter_s": 0.0, "timeout_s": 10.0}
-            )
-        }
-    )
+    quiet = changed(default_twin_settings(), radio={"jitter_s": 0.0, "timeout_s": 10.0})
     twin = Twin(model, quiet)
     for time, level in sent:
         twin.wait_until(time)

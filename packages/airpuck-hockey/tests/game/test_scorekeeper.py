@@ -11,6 +11,7 @@ from airpuck.twin.settings import default_twin_settings
 from airpuck_hockey import Game, Rules
 from airpuck_hockey.game.contestant import contestant
 from airpuck_hockey.game.scorekeeper import Scorekeeper
+from tests.apparatus.changes import changed
 
 PLAY = AirHockey()
 FRAME = 1 / 240
@@ -228,9 +229,7 @@ def test_after_the_end_the_next_puck_begins_another_game():
 def test_it_agrees_with_the_referee_of_a_game():
     """Two scripted humans play; the cameras lose frames and have noise."""
     rules = Rules(goals=100, limit_s=50.0)
-    settings = default_twin_settings()
-    cameras = settings.motion_capture.model_copy(update={"dropped": 0.05})
-    settings = settings.model_copy(update={"motion_capture": cameras})
+    settings = changed(default_twin_settings(), motion_capture={"dropped": 0.05})
     players = contestant("human:hard"), contestant("human:easy")
     game = Game(*players, rules=rules, settings=settings, seed=0)
     game.play()
