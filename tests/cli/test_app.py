@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import airpuck as package
-from airpuck import write_bag, write_csv
+from airpuck import write_csv
 from airpuck.boundary.extensions import added
 from airpuck.cli.app import known_commands, main
 from airpuck.cli.options import published_flights
@@ -23,13 +23,6 @@ from airpuck.report import reproduce as paper
 from ..apparatus.changes import with_propellers
 from ..apparatus.commands import airpuck, airpuck_process, ran, refused
 from ..apparatus.synthetic_flights import record
-
-
-@pytest.fixture(scope="module")
-def bag(tmp_path_factory) -> Path:
-    folder = tmp_path_factory.mktemp("bags") / "flight"
-    write_bag(record(duration=8.0, noise=1e-4), folder)
-    return folder
 
 
 @pytest.fixture(scope="module")

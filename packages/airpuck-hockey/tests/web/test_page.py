@@ -9,6 +9,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -92,14 +93,15 @@ def browser(chromium) -> Iterator[Any]:
         browser.close()
 
 
+def greeting(say=hello_of) -> dict[str, Any]:
+    return say(airpuck.read_model("paper:M3"), default_twin_settings())
+
+
 @pytest.fixture
 def arena() -> Iterator[Arena]:
     """A server."""
-    made = Arena(hello_of(airpuck.read_model("paper:M3"), default_twin_settings()), page=GAME_PAGE)
-    try:
+    with closing(Arena(greeting(), page=GAME_PAGE)) as made:
         yield made
-    finally:
-        made.close()
 
 
 class Page:
@@ -476,13 +478,8 @@ def test_the_second_page_watches_and_may_sit_down(browser, arena):
 @pytest.fixture
 def graph() -> Iterator[Arena]:
     """The server of a game on a graph."""
-    made = Arena(
-        live_hello(airpuck.read_model("paper:M3"), default_twin_settings()), page=GAME_PAGE
-    )
-    try:
+    with closing(Arena(greeting(live_hello), page=GAME_PAGE)) as made:
         yield made
-    finally:
-        made.close()
 
 
 def test_a_game_on_a_graph_cannot_be_paused_and_shows_what_is_seen(browser, graph):
@@ -525,9 +522,8 @@ def test_a_game_on_a_graph_cannot_be_paused_and_shows_what_is_seen(browser, grap
 
 @pytest.mark.parametrize("kinds", [("craft", "craft"), ("hand", "craft"), ("hand", "hand")])
 def test_a_match_shows_what_plays_on_either_side(browser, kinds):
-    hello = live_hello(airpuck.read_model("paper:M3"), default_twin_settings())
-    arena = Arena(hello | {"names": ["one.py:A", "other"], "sides": kinds}, page=GAME_PAGE)
-    try:
+    hello = greeting(live_hello) | {"names": ["one.py:A", "other"], "sides": kinds}
+    with closing(Arena(hello, page=GAME_PAGE)) as arena:
         page = Page(browser, arena, viewport={"width": 1280, "height": 720})
         page.status("watch", (1, 0))
         page.show(mallet=(0.8, -0.1), craft=(-0.8, 0.1, 0.0))
@@ -544,8 +540,6 @@ def test_a_match_shows_what_plays_on_either_side(browser, kinds):
             arena.pipe.send_bytes(EVENT + json.dumps(event).encode())
             page.until(f"document.getElementById('call').textContent === {json.dumps(words)}")
         assert page.errors == []
-    finally:
-        arena.close()
 
 
 def test_a_page_says_that_the_game_has_gone(browser, arena):
