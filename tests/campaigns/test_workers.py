@@ -1,7 +1,6 @@
 """Workers die; their items survive."""
 
 import contextlib
-import logging
 import signal
 import socket
 import warnings
@@ -63,22 +62,6 @@ def test_what_an_item_refuses_is_its_failure(run):
     results, runs = run
     assert results[10].failure == "figure: is not to be had"
     assert runs[10] == 1
-
-
-@pytest.fixture
-def cluster():
-    """A cluster in this process."""
-    from distributed import LocalCluster
-
-    with LocalCluster(
-        n_workers=0,
-        threads_per_worker=1,
-        processes=False,
-        protocol="tcp://",
-        dashboard_address=None,
-        silence_logs=logging.CRITICAL,
-    ) as cluster:
-        yield cluster
 
 
 def test_a_scheduler_without_workers_is_refused(cluster, monkeypatch):

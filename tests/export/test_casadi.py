@@ -15,25 +15,15 @@ from airpuck.export.casadi import functions
 from tests.apparatus.export_crafts import (
     ALL_EFFECTS,
     DISH,
-    EFFECTS,
     EXAMPLES,
     FOUR,
-    ON_OFF,
+    HELD,
     PAPER,
-    REVERSIBLE,
     random_states,
     with_vector,
 )
 
-CRAFT = {
-    **PAPER,
-    **EFFECTS,
-    "all effects": ALL_EFFECTS,
-    "dish": DISH,
-    "four": FOUR,
-    "on/off": ON_OFF,
-    "reversible": REVERSIBLE,
-}
+CRAFT = {**HELD, "dish": DISH}
 
 
 def numbers(value):
