@@ -104,10 +104,13 @@ def test_a_turned_layout_is_remarked(flight):
 
 
 def test_a_mirrored_layout_is_remarked(flight):
-    check = check_layout(flight, edited(lambda _, p: moved(p, 0.0, mirror=True)))
+    # The lab's file has Y up.
+    mirrored = edited(lambda _, p: moved(p, 0.0, mirror=True))
+    check = check_layout(flight, mirrored, axes=("x", "z", "y"))
     assert check.mirrored
     assert not check.agrees
     assert check.remarks[0].startswith("the y axis and the yaw are flipped")
+    assert 'axes = ["x", "-z", "-y"]' in check.remarks[0]
 
 
 @pytest.mark.parametrize("ratio", [0.01, 0.1, 10.0, 100.0])
@@ -176,6 +179,7 @@ def test_flipped_axes_are_named_with_what_mends_them(recorded, signs):
     if signs != (-1, -1, 1):  # The same as a rigid body that is turned by 180 degrees.
         names = [n for n, s in zip(("x axis", "y axis", "yaw"), signs, strict=True) if s < 0]
         assert check.signs.flipped == tuple(name.removesuffix(" axis") for name in names)
+        assert check.wrong == tuple(f"the {name}" for name in names)
         assert remark.startswith(" and ".join(f"the {name}" for name in names))
         # With true signs the propellers agree with the file.
         assert all(p.verdict == "agrees" for p in check.propellers)

@@ -144,6 +144,12 @@ class Page:
             self.again()
         time.sleep(0.1)
 
+    def calls(self, kind: str, side: int, words: str) -> None:
+        """Report an event, and wait until the page calls it."""
+        event = {"is": "event", "kind": kind, "side": side, "strength": 0.0}
+        self._arena.pipe.send_bytes(EVENT + json.dumps(event).encode())
+        self.until(f"document.getElementById('call').textContent === {json.dumps(words)}")
+
     def again(self) -> None:
         """Send the newest state again."""
         self._arena.pipe.send_bytes(self._state)
@@ -508,15 +514,10 @@ def test_a_game_on_a_graph_cannot_be_paused_and_shows_what_is_seen(browser, grap
     page.tab.mouse.move(*page.pixel(0.4, 0.2))
     _, (_, x, y, _) = graph.heard()
     assert (x, y) == pytest.approx((0.4, 0.2), abs=0.004)
-    for kind, side, words in (
-        ("goal", 1, "Goal!"),
-        ("over", 1, "You win"),
-        ("foul", -1, "Foul: puck on its side for 15 s"),
-        ("stuck", 0, "Stuck puck: new serve"),
-    ):
-        event = {"is": "event", "kind": kind, "side": side, "strength": 0.0}
-        graph.pipe.send_bytes(EVENT + json.dumps(event).encode())
-        page.until(f"document.getElementById('call').textContent === {json.dumps(words)}")
+    page.calls("goal", 1, "Goal!")
+    page.calls("over", 1, "You win")
+    page.calls("foul", -1, "Foul: puck on its side for 15 s")
+    page.calls("stuck", 0, "Stuck puck: new serve")
     assert page.errors == []
 
 
@@ -531,14 +532,9 @@ def test_a_match_shows_what_plays_on_either_side(browser, kinds):
         left, right = (white if kind == "craft" else None for kind in kinds)
         np.testing.assert_allclose(page.color(-0.8, 0.1), left or blue, atol=12)
         np.testing.assert_allclose(page.color(0.8, -0.1), right or VERMILLION, atol=12)
-        for kind, side, words in (
-            ("over", -1, "one.py:A wins"),
-            ("over", 0, "A draw"),
-            ("foul", 1, "Foul: puck on other's side for 15 s"),
-        ):
-            event = {"is": "event", "kind": kind, "side": side, "strength": 0.0}
-            arena.pipe.send_bytes(EVENT + json.dumps(event).encode())
-            page.until(f"document.getElementById('call').textContent === {json.dumps(words)}")
+        page.calls("over", -1, "one.py:A wins")
+        page.calls("over", 0, "A draw")
+        page.calls("foul", 1, "Foul: puck on other's side for 15 s")
         assert page.errors == []
 
 
