@@ -113,7 +113,7 @@ class Moment(NamedTuple):
     #: Takes the inputs of the law's stage. Returns the craft as predicted for when the command
     #: begins to act, and the results of the stage.
     foresee: Callable[..., tuple[Estimate, Sequence[Any]]]
-    #: Limits of the craft's motion at this moment; a law without limits ignores them.
+    #: Limits of the craft's motion at this moment; see `Law.obeys_limits`.
     limits: Sequence[Limit] = ()
 
 
@@ -158,6 +158,9 @@ class Law:
     looks_ahead : bool
         Whether the law considers the reference beyond its next step. If not, it leaves the flight
         of a plan to `PlanTracker`, and is quick to compute without compilation.
+    obeys_limits : bool
+        Whether the law keeps the craft within `Moment.limits`; by default False, and a controller
+        then takes no hard limits.
     gain : array or None
         Gain of a linear law, which may be fitted to a flight.
     stage : callable or None
@@ -185,6 +188,7 @@ class Law:
     Settings: ClassVar[type[LawSettings] | None] = None
     title: ClassVar[str] = "a law of its own"
     looks_ahead: ClassVar[bool] = True
+    obeys_limits: bool = False
     gain: Float[np.ndarray, "3 6"] | None = None
     stage: Callable[..., tuple[Any, ...]] | None = None
     inputs: tuple[np.ndarray, ...] = ()
@@ -226,7 +230,7 @@ class UserLaw(Law):
 
     def __init__(self, own: Law, code: UserCode) -> None:
         self._own, self._code = own, code
-        self.stage, self.inputs = own.stage, own.inputs
+        self.stage, self.inputs, self.obeys_limits = own.stage, own.inputs, own.obeys_limits
 
     def init(self) -> Any:
         """Return the state before the first step; see `Law.init`."""

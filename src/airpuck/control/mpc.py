@@ -82,6 +82,7 @@ class MPC(Law):
 
     Settings = PredictiveSettings
     title = "predictive control"
+    obeys_limits = True
 
     def __init__(self, model: Model, tuning: Tuning, options: LawOptions | None = None) -> None:
         options = options or LawOptions()
