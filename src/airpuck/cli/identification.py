@@ -41,9 +41,7 @@ Recordings = Annotated[
 ]
 ComFrame = Annotated[
     Literal["body", "world"],
-    of_structure(
-        "Whether the centre of mass is fixed to the body, or to the world as in the paper."
-    ),
+    of_structure("Whether the centre of mass is fixed to the body, or the world as in the paper."),
 ]
 _of_uncertainty = partial(Setting, heading="Uncertainty")
 
@@ -134,9 +132,7 @@ def identify(
     yaw_weight: YawWeight = 0.1,
     bootstrap: Annotated[
         int | None,
-        _of_uncertainty(
-            "Also fit to N resamplings, for bootstrap intervals", numbers.REPLICATES, "N"
-        ),
+        _of_uncertainty("Also fit N resamplings, for bootstrap intervals", numbers.REPLICATES, "N"),
     ] = None,
     seed: Annotated[int, _of_uncertainty("Seed of the resamplings", numbers.SEED, "N")] = 0,
     each: Annotated[
