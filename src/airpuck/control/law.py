@@ -13,6 +13,7 @@ from jaxtyping import Float
 from airpuck.boundary.arguments import numbers_of
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.extensions import UserCode
+from airpuck.boundary.results import Brief
 from airpuck.compute.compiled import program
 from airpuck.control.allocation import Outcome
 from airpuck.control.laws import check_law, law_class
@@ -38,7 +39,7 @@ FLYING: tuple[Status, ...] = ("exact", "scaled", "nearest", *get_args(Predicted)
 
 
 @dataclass(frozen=True, eq=False)
-class Prediction:
+class Prediction(Brief):
     """The trajectory that a predictive law expects.
 
     Attributes
@@ -65,7 +66,7 @@ class Prediction:
 
 
 @dataclass(frozen=True, eq=False)
-class Step:
+class Step(Brief):
     """Result of a control step.
 
     Attributes
@@ -133,7 +134,7 @@ class LawOptions:
     compiled: bool = True
 
 
-class Law:
+class Law(Brief):
     """Computes a command from the state predicted for the time at which the command begins to act.
 
     A step takes the law's state and returns the next one; the law itself does not change. Pure
@@ -185,6 +186,7 @@ class Law:
     'open loop'
     """
 
+    SHOWN = "title gain"
     Settings: ClassVar[type[LawSettings] | None] = None
     title: ClassVar[str] = "a law of its own"
     looks_ahead: ClassVar[bool] = True

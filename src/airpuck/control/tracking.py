@@ -92,6 +92,8 @@ class TrackingController(Pilot):
     'scaled'
     """
 
+    SHOWN = "model=model.name reference law limits period_s=tuning.period_s"
+
     def __init__(
         self,
         model: Model,

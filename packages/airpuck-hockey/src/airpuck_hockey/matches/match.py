@@ -22,6 +22,7 @@ from airpuck.extend import (
     Entry,
     Item,
     ItemResult,
+    Result,
     Row,
     Stopped,
     Workers,
@@ -113,7 +114,7 @@ class Match(Item):
 
 
 @dataclass(frozen=True)
-class MatchResult:
+class MatchResult(Result):
     """The games of two players.
 
     Attributes
@@ -334,7 +335,7 @@ PLAYERS = (
 
 
 @dataclass(frozen=True, eq=False)
-class LeagueResult:
+class LeagueResult(Result):
     """The games of all pairs.
 
     Attributes
