@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import logging
 import os
 import shutil
 import signal
@@ -146,3 +147,19 @@ def chromium() -> str:
     if path is None:
         pytest.skip("needs Chromium: install the distribution's package")
     return path
+
+
+@pytest.fixture
+def cluster():
+    """A cluster in this process."""
+    from distributed import LocalCluster
+
+    with LocalCluster(
+        n_workers=0,
+        threads_per_worker=1,
+        processes=False,
+        protocol="tcp://",
+        dashboard_address=None,
+        silence_logs=logging.CRITICAL,
+    ) as cluster:
+        yield cluster

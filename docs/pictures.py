@@ -386,6 +386,44 @@ def laws() -> Figure:
     return figure
 
 
+def layers() -> Figure:
+    """Draw which package imports which, from what the architecture's test reads."""
+    sys.path.insert(0, str(FOLDER.parents[1]))
+    from tests.test_architecture import MODULES, ORDER, ROOT, imports, room
+
+    used = np.zeros((len(ORDER), len(ORDER)), int)  # modules of a row that import a column
+    for path in MODULES:
+        own = path.relative_to(ROOT).parts[0]
+        for other in {room(module) for module in imports(path) if module.startswith("airpuck.")}:
+            if own in ORDER and other in ORDER and other != own:
+                used[ORDER.index(own), ORDER.index(other)] += 1
+    figure, count = new(3.75), len(ORDER)
+    axes = figure.add_subplot(
+        aspect="equal", xlim=(-0.6, count + 1.2), ylim=(count - 0.3, -1.9), xticks=[]
+    )
+    axes.set_yticks(range(count), [name.replace("_", " ") for name in ORDER], fontsize=7.5)
+    axes.tick_params(left=False)
+    axes.grid(visible=False)
+    axes.spines[:].set_visible(False)
+    meaning = (
+        "A dot: the package of its row imports\nthe package of its column. Its size:\n"
+        "the number of modules that do."
+    )
+    axes.text(count, 0.7, meaning, fontsize=8, va="center", ha="right")
+    for k, name in enumerate(ORDER):
+        band = {"color": "#f2f2f2" if k % 2 else "white", "lw": 0, "zorder": 0}
+        axes.fill_between([-0.5, k - 0.5], k - 0.5, k + 0.5, **band)
+        axes.plot([k, k], [k + 0.5, count - 0.5], color="#dddddd", lw=0.5, zorder=1)
+        if k < count - 1:
+            axes.text(
+                k - 0.15, k + 0.35, name.replace("_", " "), fontsize=7, rotation=45,
+                rotation_mode="anchor", ha="left",
+            )  # fmt: skip
+    rows, columns = np.nonzero(used)
+    axes.scatter(columns, rows, s=6 + 4 * used[rows, columns], color=style.BLUE, lw=0, zorder=2)
+    return figure
+
+
 def commissioning() -> None:
     """Commission the paper's craft on the twin from a rough file, and draw the page's figures."""
     content = airpuck.default_vehicle().model_dump(mode="json")
@@ -453,6 +491,7 @@ PICTURES: dict[str, Callable[[], Figure]] = {
     "tracking": tracking,
     "examples": examples,
     "laws": laws,
+    "layers": layers,
 }
 
 

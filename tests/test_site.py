@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 import airpuck
+import airpuck.extend
 from airpuck.cli.app import known_commands
 
 DOCS = Path(__file__).parents[1] / "docs"
@@ -36,6 +37,7 @@ def test_the_site_builds_without_a_warning(tmp_path):
     names = {f"airpuck.{name}" for name in dir(airpuck)} - {"airpuck.plot"}  # a module
     assert not {name for name in names if f'id="{name}"' not in pages}
     assert 'id="airpuck.report.plot.thrust"' in pages
+    assert pages.count('id="airpuck.extend.') >= len(dir(airpuck.extend)) - 3  # three are modules
     loaded = re.findall(r"<(?:script|img|link|iframe)[^>]*(?:src|href)=\"https?://[^>]*", pages)
     assert not loaded  # a page needs no other host when it is viewed
     formulas = (tmp_path / "site" / "method.html").read_text()

@@ -7,10 +7,13 @@ from pathlib import Path
 import pytest
 
 import airpuck
+import airpuck_hockey
 
 PAGE = Path(__file__).parents[1] / "docs" / "architecture.md"
 WALKS = dict(
-    re.findall(r"^\* \*([^*]+)\*: ((?:`[\w.]+`(?: →\s+)?)+)", PAGE.read_text("utf-8"), re.MULTILINE)
+    re.findall(
+        r"^\* \*([^*]+)\*[^:]*: ((?:`[\w.]+`(?: →\s+)?)+)", PAGE.read_text("utf-8"), re.MULTILINE
+    )
 )
 
 
@@ -25,7 +28,7 @@ def called(names, walk):
 
     def note(frame, event, _):
         if event == "call":
-            module = frame.f_globals.get("__name__", "").removeprefix("airpuck.")
+            module = re.sub(r"^airpuck(_hockey)?\.", "", frame.f_globals.get("__name__", ""))
             name = f"{module}.{frame.f_code.co_qualname}"
             if name in names and name not in seen:
                 seen.append(name)
@@ -59,3 +62,26 @@ def test_a_model_file_becomes_a_command_by_the_stated_calls():
 
     walk = stated("From a model file to a motor command")
     assert called(walk, fly) == walk
+
+
+@pytest.mark.slow
+def test_the_first_pose_of_the_puck_becomes_a_command_by_the_stated_calls():
+    players = map(airpuck_hockey.contestant, ("airpuck", "human"))
+    game = airpuck_hockey.Game(*players, seed=1)
+    walk = stated("From the first pose of the puck to a motor command")
+    periods = (called(walk, game.step) for _ in range(10))
+    assert next(seen for seen in periods if "puck.puck_filter.PuckFilter.pose" in seen) == walk
+
+
+@pytest.mark.slow
+def test_the_papers_table_comes_from_the_authors_data_by_the_stated_calls(data, tmp_path):
+    def stop(line):
+        if line.startswith("identified"):
+            raise InterruptedError  # one fit makes all of the calls
+
+    def study():
+        with pytest.raises(InterruptedError):
+            airpuck.reproduce(data, tmp_path, progress=stop)
+
+    walk = stated("From the authors' prepared data to the paper's Table 2")
+    assert called(walk, study) == walk

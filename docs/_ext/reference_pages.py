@@ -5,20 +5,27 @@ from __future__ import annotations
 import inspect
 import os
 import re
+import sys
 from pathlib import Path
 from typing import Any
 
 import file_formats
 import json_keys
+from sphinx.pycode import ModuleAnalyzer
 
 import airpuck
 import airpuck_hockey
+from airpuck import extend
 
 #: Folders beside docs/ whose Markdown files are pages of the site.
 _OUTSIDE = ("studies", "benchmarks", "examples")
 _LINK = re.compile(r"\]\(([^)\s#:]+)(#[^)\s]*)?\)")
 #: A line that only links a table becomes the table.
 _TABLE = re.compile(r"^\[[^\]]+\]\((\.\./docs/tables/\w+\.md)\)$", re.MULTILINE)
+#: The stub file of the names for those who extend airpuck.
+_STUB = Path(extend.__file__).with_suffix(".pyi").read_text(encoding="utf-8")
+#: A group of names in a stub file: title, meaning, imports.
+_STUB_GROUP = re.compile(r"^# ([^:\n]+): (.+\.)\n((?:(?!#).*\n)+)", re.MULTILINE)
 #: What the examples use; tests/test_docstring_examples.py runs them.
 _SHARED = """Examples begin with:
 
@@ -57,6 +64,7 @@ def _write(app: Any) -> None:
     pages["json.md"] = json_keys.page()
     pages |= {f"python_{name}.rst": _members(name, names) for name, names in _groups().items()}
     pages["python_export.rst"] = _exports()
+    pages["python_extend.rst"] = _extensions()
     pages |= _outside(Path(app.srcdir))
     folder.mkdir(exist_ok=True)
     for path in folder.iterdir():
@@ -117,7 +125,7 @@ def _groups() -> dict[str, list[str]]:
 def _public(name: str) -> Any:
     """Return a public object by its full name."""
     package, _, own = name.rpartition(".")
-    return getattr({"airpuck": airpuck, "airpuck_hockey": airpuck_hockey}[package], own)
+    return getattr(sys.modules[package], own)
 
 
 def _contents() -> str:
@@ -132,28 +140,55 @@ def _contents() -> str:
     ]
     for package, names in _groups().items():
         lines += [f"## {package}", "", "| | |", "|---|---|"]
-        for name in names:
-            sentence = (inspect.getdoc(_public(name)) or "").partition("\n\n")[0]
-            sentence = " ".join(sentence.split()).replace("|", "\\|")
-            lines.append(f"| {{py:obj}}`{name}` | {sentence} |")
+        lines += [f"| {{py:obj}}`{name}` | {_sentence(name)} |" for name in names]
         lines.append("")
     lines += ["## export", "", "See [the functions of `airpuck.export`](python_export.rst).", ""]
-    pages = [f"python_{package}" for package in (*_groups(), "export")]
+    lines += [
+        "## extend",
+        "",
+        "See [the names for those who extend airpuck](python_extend.rst).",
+        "",
+    ]
+    pages = [f"python_{package}" for package in (*_groups(), "export", "extend")]
     return "\n".join([*lines, "```{toctree}", ":hidden:", "", *pages, "```", ""])
+
+
+def _sentence(name: str) -> str:
+    """Return the first sentence of a public object's docstring, for a cell of a table."""
+    sentence = (inspect.getdoc(_public(name)) or "").partition("\n\n")[0]
+    return " ".join(sentence.split()).replace("|", "\\|")
 
 
 def _members(package: str, names: list[str]) -> str:
     """Document the public names of a package."""
     module = names[0].rpartition(".")[0]
     lines = [f"{package}", "=" * len(package), "", f".. currentmodule:: {module}", ""]
-    for name in names:
-        found = _public(name)
-        if inspect.isclass(found):
-            lines += [f".. autoclass:: {name}", "   :members:", ""]
-        elif inspect.ismodule(found):
-            lines += [f".. automodule:: {found.__name__}", "   :members:", ""]
-        else:
-            lines += [f".. autofunction:: {name}", ""]
+    return "\n".join(lines + [line for name in names for line in _documented(name)])
+
+
+def _documented(name: str) -> list[str]:
+    """Return the directive that documents a public object."""
+    found = _public(name)
+    if inspect.isclass(found):
+        return [f".. autoclass:: {name}", "   :members:", ""]
+    if inspect.ismodule(found):
+        return [f".. automodule:: {found.__name__}", "   :members:", ""]
+    if inspect.isroutine(found):
+        return [f".. autofunction:: {name}", ""]
+    # Autodoc would describe its type, not what the comment at its definition says.
+    own = name.rpartition(".")[2]
+    home = re.findall(rf"from (\S+) import (?:(?!from)[^#])*?\b{own} as", _STUB)[0]
+    said = ModuleAnalyzer.for_module(home).find_attr_docs()["", own]
+    return [f".. py:data:: {name}", "", *(f"   {line}" for line in said), ""]
+
+
+def _extensions() -> str:
+    """Document the names of `airpuck.extend`, by the groups of its stub file."""
+    lines = ["extend", "======", "", (extend.__doc__ or "").partition("\n\nNames by")[0], ""]
+    for title, meaning, body in _STUB_GROUP.findall(_STUB):
+        lines += [title, "-" * len(title), "", f"{meaning[0].upper()}{meaning[1:]}", ""]
+        for name in re.findall(r"\b(\w+) as \1\b", body):
+            lines += _documented(f"airpuck.extend.{name}")
     return "\n".join(lines)
 
 

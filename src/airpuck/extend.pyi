@@ -4,20 +4,18 @@
 # Errors, numbers and files: what a user may give, and what is wrong with it.
 from airpuck.boundary.arguments import checked_class as checked_class, numbers_of as numbers_of
 from airpuck.boundary.errors import about as about, nearest as nearest, unknown as unknown
-from airpuck.boundary.numbers import COORDINATE as COORDINATE, PAUSE as PAUSE, Range as Range
 from airpuck.boundary import numbers as numbers
 from airpuck.boundary.outputs import check_output as check_output
 from airpuck.boundary.extensions import UserCode as UserCode
 
-# Settings, results, and public names that a stub file declares.
+# Settings, results and public names: declared once, in a class or a stub file.
 from airpuck.boundary.settings import Setting as Setting, Settings as Settings
 from airpuck.boundary.results import Result as Result
 from airpuck.boundary.public import public_names as public_names
 
-# Commands: options, tables for the terminal, progress, signals.
+# Commands: options, tables for the terminal, progress, signals, priority.
 from airpuck.cli.app import command as command
 from airpuck.cli import options as options
-from airpuck.cli.options import read_belief as read_belief
 from airpuck.cli.live import report_flight as report_flight
 from airpuck.cli.output import (
     console as console,
@@ -32,17 +30,12 @@ from airpuck.boundary.signals import Stopped as Stopped, until_stopped as until_
 from airpuck.compute.process import (
     low_latency as low_latency,
     prioritize as prioritize,
-    usable_cores as usable_cores,
 )
 
-# Items of campaigns, and their computation in processes.
+# Items of campaigns: many flights or games, computed in processes.
 from airpuck.campaigns.campaign import completed as completed
 from airpuck.campaigns.items import Item as Item, Row as Row
-from airpuck.campaigns.fingerprints import (
-    of_code as of_code,
-    of_file as of_file,
-    of_recording as of_recording,
-)
+from airpuck.campaigns import fingerprints as fingerprints
 from airpuck.campaigns.workers import (
     Entry as Entry,
     ItemResult as ItemResult,
@@ -53,7 +46,7 @@ from airpuck.campaigns.workers import (
 from airpuck.control.settings import Workers as Workers
 from airpuck.evaluation.statistical_tests import wilson_interval as wilson_interval
 
-# Laws and references.
+# Laws and references: where a craft should be, and which force a motor gives.
 from airpuck.control.reference import (
     Preview as Preview,
     Reference as Reference,
@@ -65,13 +58,13 @@ from airpuck.control.reference import (
 from airpuck.control.tracking import check_steerable as check_steerable
 from airpuck.physics.thrust import thrust as thrust
 
-# Shortest times of a craft.
+# Shortest times: a table for each craft, planned once.
 from airpuck.planning.minimal_time import (
     MinimalTimes as MinimalTimes,
     minimal_times_of as minimal_times_of,
 )
 
-# A puck and discs on a table.
+# Puck and discs: contacts, friction, and positions to come.
 from airpuck.craft.table import Contact as Contact, Puck as Puck
 from airpuck.physics.puck import (
     Disc as Disc,
@@ -84,7 +77,7 @@ from airpuck.physics.puck import (
 from airpuck.physics.puck_on_table import PuckOnTable as PuckOnTable, Touch as Touch
 from airpuck.physics.puck_on_table import PUCK_NUMBERS as PUCK_NUMBERS, puck_paths as puck_paths
 
-# The twin: its world, sensors and radio; the flight loop.
+# Twin and flight loop: world, sensors, radio, clocks.
 from airpuck.twin.craft import Craft as Craft
 from airpuck.twin.plant import Plant as Plant, build_plant as build_plant
 from airpuck.twin.play import HandMallet as HandMallet, World as World
@@ -105,17 +98,15 @@ from airpuck.flight.clock import (
 )
 from airpuck.data.measurement import MeasurementKind as MeasurementKind
 from airpuck.recording.stream import COLUMNS as COLUMNS
-from airpuck.recording.conversion import SECOND_NS as SECOND_NS
 
-# Processes on a ROS 2 graph.
+# Processes on a ROS 2 graph: messages, live flights, safety.
 from airpuck.live.fly import Spectator as Spectator, fly_live as fly_live
 from airpuck.live.process import Inbox as Inbox, Outbox as Outbox, Process as Process
 from airpuck.live.safety import half_of as half_of
 from airpuck.live.settings import LiveSettings as LiveSettings
 
-# Pages in the browser, and their server.
+# Pages in the browser: their server, and what it sends.
 from airpuck.web.requests import (
-    LOOPBACK as LOOPBACK,
     address_of as address_of,
     packed_state as packed_state,
 )
@@ -126,9 +117,8 @@ from airpuck.web.page import (
     table_of as table_of,
 )
 from airpuck.web.server import PageKind as PageKind
-from airpuck.report.table_canvas import hockey_shape as hockey_shape
 
-# Pages of reports.
+# Pages of reports: sections, tables, pictures.
 from airpuck.report.page import (
     PageSection as PageSection,
     Picture as Picture,
@@ -136,16 +126,14 @@ from airpuck.report.page import (
 )
 from airpuck.report.tables import PageTable as PageTable
 
-# Exports, and environments for reinforcement learning.
+# Exports and environments: files for other tools, reinforcement learning.
 from airpuck.export.kinds import ExportKind as ExportKind, Subject as Subject
 from airpuck.export.gym import (
     BLUE as BLUE,
     DrawnDisc as DrawnDisc,
-    Environments as Environments,
     PilotPolicy as PilotPolicy,
     RED as RED,
     TwinEnv as TwinEnv,
-    WHITE as WHITE,
     check_render_mode as check_render_mode,
     drawn_puck as drawn_puck,
     picture as picture,
@@ -153,11 +141,8 @@ from airpuck.export.gym import (
     write_environments as write_environments,
 )
 from airpuck.export.gym_task import (
-    ALL as ALL,
     ModelSource as ModelSource,
     Observation as Observation,
-    ROW as ROW,
-    SEEDS as SEEDS,
     Seen as Seen,
     TwinSource as TwinSource,
     action_space as action_space,

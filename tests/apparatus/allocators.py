@@ -1,7 +1,5 @@
 """Thrust allocation of whole requests."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A page server; the test plays the game at the other end of its pipe."""
 
-from __future__ import annotations
-
 import json
 import multiprocessing
 import socket

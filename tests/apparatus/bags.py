@@ -1,7 +1,5 @@
 """Recordings, and bags that were not written by airpuck."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path

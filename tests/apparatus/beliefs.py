@@ -1,7 +1,5 @@
 """Models whose parameters have a known uncertainty, as after a fit."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any

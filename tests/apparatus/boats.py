@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from airpuck.craft.vehicle import Vehicle
-from airpuck.recording.stream import Recording
+from airpuck import Recording, Vehicle
 
 #: Sample period [s], full thrust [N], mass [kg], inertia [kg m²], lever arm [m] and lag [s].
 PERIOD, FULL, MASS, INERTIA, ARM, LAG = 0.02, 20.0, 16.0, 2.0, 0.25, 0.08

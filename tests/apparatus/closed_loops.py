@@ -2,9 +2,8 @@
 
 import numpy as np
 
-from airpuck.control.law import Step
-from airpuck.control.reference import Reference, SetPoint
-from airpuck.control.tracking import TrackingController
+from airpuck import SetPoint, Step, TrackingController
+from airpuck.control.reference import Reference
 from airpuck.estimate.estimator import Estimate
 from airpuck.model.model_file import read_model
 from airpuck.physics.rigid_body import derivative

@@ -1,7 +1,5 @@
 """The exported controller as a pilot, and flights that compare it with Python's."""
 
-from __future__ import annotations
-
 import ctypes
 import math
 from collections import Counter
@@ -14,14 +12,12 @@ import numpy as np
 from jaxtyping import Float
 
 import airpuck
-from airpuck.control.law import Pilot, Step
+from airpuck import Model, Pilot, SetPoint, Step, TimedPath, TrackingController, Tuning
 from airpuck.control.mpc import Ongoing
 from airpuck.control.predictive import PredictiveSettings
-from airpuck.control.reference import SetPoint, TimedPath, preview
-from airpuck.control.tracking import TrackingController
-from airpuck.control.tuning import Tuning, default_tuning
+from airpuck.control.reference import preview
+from airpuck.control.tuning import default_tuning
 from airpuck.estimate.estimator import Estimate
-from airpuck.model.model_file import Model
 from airpuck.physics.rigid_body import step
 
 from .c_programs import build

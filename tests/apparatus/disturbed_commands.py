@@ -4,8 +4,6 @@ A server in a separate process imports everything that commands need once, and f
 command. Its failures cannot affect the tests. `Server` talks to it.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

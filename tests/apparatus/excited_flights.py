@@ -1,7 +1,5 @@
 """Excitation flights on the twin, with their true velocities and the true delay of each packet."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -9,19 +7,17 @@ import numpy as np
 import pytest
 from jaxtyping import Float
 
-from airpuck.data.trajectory import Trajectory
+from airpuck import Fit, Preparation, Trajectory, Twin, TwinSettings
 from airpuck.identification.fit import identify
-from airpuck.identification.fit_result import Fit
-from airpuck.identification.settings import Preparation
 from airpuck.model.model_file import published_model
 from airpuck.preprocessing.pipeline import preprocess
 from airpuck.twin import craft as craft_module
 from airpuck.twin import experiments
 from airpuck.twin.plant import Plant, build_plant
 from airpuck.twin.radio import RadioLink
-from airpuck.twin.settings import TwinSettings, default_twin_settings
-from airpuck.twin.twin import Twin
+from airpuck.twin.settings import default_twin_settings
 
+from .changes import changed
 from .once import once
 
 PUBLISHED = published_model("M3")
@@ -61,12 +57,9 @@ def plant() -> Plant:
 
 def settings(jitter: float, noise: bool = True) -> TwinSettings:
     """The packaged twin with another jitter [s], or with perfect cameras."""
-    twin = default_twin_settings()
-    changed: dict = {"radio": twin.radio.model_copy(update={"jitter_s": jitter})}
-    if not noise:
-        perfect = {"position_noise_m": 0.0, "yaw_noise_rad": 0.0}
-        changed["motion_capture"] = twin.motion_capture.model_copy(update=perfect)
-    return twin.model_copy(update=changed)
+    perfect = {} if noise else {"position_noise_m": 0.0, "yaw_noise_rad": 0.0}
+    radio = {"jitter_s": jitter}
+    return changed(default_twin_settings(), radio=radio, motion_capture=perfect)
 
 
 @once

@@ -43,6 +43,15 @@ REVERSIBLE = nominal_model(
         _FOUR | {"propellers": [one | {"reverse": 0.6} for one in _FOUR["propellers"]]}
     )
 )
+#: The craft that an export of the equations of motion holds.
+HELD = {
+    **PAPER,
+    **EFFECTS,
+    "all effects": ALL_EFFECTS,
+    "four": FOUR,
+    "on/off": ON_OFF,
+    "reversible": REVERSIBLE,
+}
 _WHEEL = {"name": "wheel", "torque_Nm": 0.01, "inertia_kg_m2": 1e-5, "max_speed_rad_s": 600.0}
 WHEELED = nominal_model(Vehicle.model_validate(_FOUR | {"wheels": [_WHEEL]}))
 

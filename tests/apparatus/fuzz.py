@@ -7,8 +7,6 @@ is written. All other exceptions, crashes of the process, timeouts, and files le
 failures. Each is reported with kind and seed, which reproduce the file.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import functools
@@ -36,24 +34,22 @@ from mcap.writer import CompressionType
 
 import airpuck.cli
 import airpuck.judgement.verdict  # noqa: F401 # slow to import on a busy machine
-from airpuck.boundary.errors import InputError
+from airpuck import InputError, PoseMapping, Recording, RecordingMapping, Span, TwinSettings
 from airpuck.campaigns.campaign import read_spec
 from airpuck.control.reference import read_setpoints
 from airpuck.control.settings import read_excitation_plan
 from airpuck.control.tuning import read_tuning
 from airpuck.craft.vehicle import read_vehicle
-from airpuck.data.trajectory import Span
 from airpuck.data.trajectory_file import read_trajectory
 from airpuck.export.holohover import params_yaml
 from airpuck.model.model_file import read_model
 from airpuck.recording.cdr import decode, flatten
 from airpuck.recording.csv_folder import write_csv
-from airpuck.recording.mapping import PoseMapping, RecordingMapping, read_mapping
+from airpuck.recording.mapping import read_mapping
 from airpuck.recording.message import parse_definition
 from airpuck.recording.read import read_recording
-from airpuck.recording.stream import Recording
 from airpuck.recording.torch_archive import read_authors_experiment
-from airpuck.twin.settings import TwinSettings, read_twin_settings
+from airpuck.twin.settings import read_twin_settings
 from tests.apparatus import bags
 from tests.apparatus import mutations as m
 from tests.apparatus.commands import airpuck as run_airpuck

@@ -1,18 +1,14 @@
 """Craft, their models, and made-up results of fits."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from airpuck.craft.vehicle import Vehicle, default_vehicle
-from airpuck.data.trajectory import Trajectory
-from airpuck.identification.fit_result import Fit
+from airpuck import Fit, Loss, Model, Trajectory, Vehicle
+from airpuck.craft.vehicle import default_vehicle
 from airpuck.identification.method import Iteration
-from airpuck.identification.problem import Loss, prediction_loss
-from airpuck.model.model_file import Model
+from airpuck.identification.problem import prediction_loss
 from airpuck.model.rungs import named_rung
 
 

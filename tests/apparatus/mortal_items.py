@@ -1,7 +1,5 @@
 """Items of campaigns that kill their workers, in a module that a new worker imports quickly."""
 
-from __future__ import annotations
-
 import os
 import signal
 import time

@@ -1,7 +1,5 @@
 """Damage to files of every kind: random bytes, and damage specific to each format."""
 
-from __future__ import annotations
-
 import bz2
 import io
 import json

@@ -1,7 +1,5 @@
 """A made-up flight with the noise of the motion capture."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Caches expensive objects once per session, for all workers."""
 
-from __future__ import annotations
-
 import fcntl
 import functools
 import hashlib

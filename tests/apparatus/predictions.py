@@ -1,12 +1,9 @@
 """Predictions by the plain rollout in NumPy, with commands that change between samples."""
 
-from __future__ import annotations
-
 import numpy as np
 
-from airpuck.data.trajectory import Trajectory
+from airpuck import Model, Trajectory
 from airpuck.evaluation.innovations import Innovations, cut_at_commands
-from airpuck.model.model_file import Model
 from airpuck.physics.motor import motor_step
 from airpuck.physics.rigid_body import rollout
 

@@ -1,7 +1,5 @@
 """Real processes of airpuck, and a watcher of their messages."""
 
-from __future__ import annotations
-
 import os
 import pty
 import signal

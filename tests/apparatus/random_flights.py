@@ -1,7 +1,5 @@
 """A flight under random signals that needs no controller: made-up data with known truth."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cache
 from typing import Any

@@ -1,7 +1,5 @@
 """Whether an identification recovers the twin's parameters: one measure for all flights."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

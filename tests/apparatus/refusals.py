@@ -44,3 +44,13 @@ def written(folder: Path, text: str | bytes, name: str = "a.toml") -> Path:
     path = folder / name
     path.write_bytes(text if isinstance(text, bytes) else text.encode())
     return path
+
+
+@contextlib.contextmanager
+def rejected(*words: object, match: str | None = None, field: object = ...) -> Iterator[None]:
+    """Check that an `InputError` has these words, matches the pattern and names the field."""
+    with pytest.raises(InputError, match=match) as caught:
+        yield
+    assert field is ... or caught.value.field == field
+    for word in words:
+        assert str(word) in str(caught.value)

@@ -1,14 +1,11 @@
 """Small flights made up for the tests, with known truth."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 
-from airpuck.data.trajectory import Trajectory
-from airpuck.model.model_file import Model, published_model
-from airpuck.recording.stream import Recording, Stream
+from airpuck import Model, Recording, Stream, Trajectory
+from airpuck.model.model_file import published_model
 from tests.apparatus.random_flights import POSE_RATE as RATE
 from tests.apparatus.random_flights import random_flight, random_recording
 

@@ -1,7 +1,5 @@
 """Archives as torch writes them, instruction by instruction, without torch."""
 
-from __future__ import annotations
-
 import struct
 import zipfile
 from collections.abc import Mapping

@@ -2,8 +2,7 @@
 
 from pathlib import Path
 
-from airpuck import read_vehicle
-from airpuck.craft.vehicle import Vehicle
+from airpuck import Vehicle, read_vehicle
 
 #: Three reversible propellers at 120°, through the centre, and a wheel: 3 s to its largest speed.
 TRIANGLE = """

@@ -5,8 +5,6 @@ most short functions; loops that step through a flight make a million of them, o
 Functions without arrays are left to pyright: counting their calls took a quarter of such loops.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import inspect
 import re

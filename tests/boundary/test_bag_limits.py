@@ -71,34 +71,23 @@ def test_a_bomb_that_lies_costs_only_its_chunk(tmp_path: Path, compression: str)
     assert "1 damaged chunk" in recording.warnings[0]
 
 
-def test_many_chunks_that_unpack_to_gigabytes(tmp_path: Path):
+@pytest.mark.parametrize(
+    ("record", "count", "times", "says"),
+    [
+        # One record of an unknown kind.
+        (struct.pack("<BQ", 200, 128 * MIB - 9) + bytes(128 * MIB - 9), 1, 50, "100 times"),
+        # A kilobyte of zeros and ones makes a million messages, each of which takes time.
+        (struct.pack("<BQHIQQ", 5, 22, 2, 0, 5, 5), 30 * MIB // 31, 20, "100 times"),
+        (struct.pack("<BQ", 200, 0), 20_000_000, 1, "too many records"),
+    ],
+    ids=["gigabytes", "very many messages", "empty records"],
+)
+def test_chunks_that_unpack_to_too_much(tmp_path: Path, record, count, times, says):
     import zstandard
 
-    # One record of an unknown kind.
-    chunk = struct.pack("<BQ", 200, 128 * MIB - 9) + bytes(128 * MIB - 9)
-    data = zstandard.ZstdCompressor(1).compress(chunk)
-    path = with_chunks(tmp_path / "a.mcap", data, "zstd", len(chunk), times=50)
-    refusal(read_recording, path, says="unpacks to more than 100 times")
-
-
-def test_chunks_of_very_many_messages(tmp_path: Path):
-    """A kilobyte of zeros and ones makes a million messages, each of which takes time."""
-    import zstandard
-
-    record = struct.pack("<BQHIQQ", 5, 22, 2, 0, 5, 5)
-    data = record * (30 * MIB // len(record))
-    packed = zstandard.ZstdCompressor().compress(data)
-    path = with_chunks(tmp_path / "a.mcap", packed, "zstd", len(data), times=20)
-    refusal(read_recording, path, says="unpacks to more than 100 times")
-
-
-def test_a_chunk_of_empty_records(tmp_path: Path):
-    import zstandard
-
-    chunk = struct.pack("<BQ", 200, 0) * 20_000_000
-    data = zstandard.ZstdCompressor(1).compress(chunk)
-    path = with_chunks(tmp_path / "a.mcap", data, "zstd", len(chunk))
-    refusal(read_recording, path, says="too many records")
+    data = zstandard.ZstdCompressor(1).compress(record * count)
+    path = with_chunks(tmp_path / "a.mcap", data, "zstd", count * len(record), times=times)
+    refusal(read_recording, path, says=says)
 
 
 def test_a_whole_file_that_unpacks_to_gigabytes(tmp_path: Path):

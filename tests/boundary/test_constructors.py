@@ -184,7 +184,6 @@ def test_impossible_values_are_named(kind):
         with pytest.raises(InputError) as error:
             made()
         assert error.value.field == field, (number, error.value)
-        assert "\n" not in str(error.value)
 
 
 def test_a_measurement_may_hold_what_a_pilot_has_to_bear():

@@ -8,12 +8,11 @@ import pytest
 import tomli_w
 
 import airpuck
-from airpuck.boundary.errors import InputError
+from airpuck import AirHockey, InputError
 from airpuck.boundary.numbers import percent
 from airpuck.control.lqr import LQRSettings
 from airpuck.control.reference import read_setpoints
 from airpuck.control.tuning import default_tuning
-from airpuck.craft.table import AirHockey
 from airpuck.craft.vehicle import default_vehicle
 from airpuck.model.model_file import nominal_model
 from airpuck.physics.puck_on_table import PuckOnTable

@@ -34,7 +34,7 @@ from airpuck.boundary.outputs import replacing
 from airpuck.recording.read import read_recording
 
 from ..apparatus.bags import rosbags_folder
-from ..apparatus.refusals import refusal, written
+from ..apparatus.refusals import refusal, rejected, written
 
 
 @pytest.mark.parametrize(
@@ -57,10 +57,11 @@ from ..apparatus.refusals import refusal, written
         ('"""' * 300_000, "not valid TOML"),
         ("a" * 1_000_000, "not valid TOML"),
         ('a = "\x1b[2J"', "not valid TOML"),
+        (b"\xff\xfe\x00", "is not UTF-8 text .*; save it as UTF-8"),
     ],
-    ids=lambda value: value[:20] if len(value) < 30 else f"{value[:10]}-{len(value)}",
+    ids=lambda value: f"{value[:20]!r}" if len(value) < 40 else f"{value[:10]!r}-{len(value)}",
 )
-def test_hostile_toml(tmp_path: Path, text: str, says: str):
+def test_hostile_toml(tmp_path: Path, text: str | bytes, says: str):
     refusal(load_toml, written(tmp_path, text), says=says)
 
 
@@ -194,10 +195,8 @@ def test_missing_file(tmp_path):
 def test_errors_name_file_and_field(tmp_path, text, message):
     path = tmp_path / "bad.toml"
     path.write_text(text)
-    with pytest.raises(InputError, match=message) as error:
+    with rejected(str(path), match=message):
         read_toml(path, Example)
-    assert str(path) in str(error.value)
-    assert "\n" not in str(error.value)
 
 
 class Nested(Section):
@@ -212,16 +211,8 @@ def test_a_file_laid_over_a_base_changes_what_it_names(tmp_path):
     assert read_toml(path, Nested, base=base) == base.model_copy(update={"example": expected})
     for text, field in (("[example]\nmass = 1.0", "example.mass"), ("example = 1.0", "example")):
         path.write_text(text)
-        with pytest.raises(InputError) as caught:
+        with rejected(field=field):
             read_toml(path, Nested, base=base)
-        assert caught.value.field == field
-
-
-def test_not_text(tmp_path):
-    path = tmp_path / "bad.toml"
-    path.write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(InputError, match=r"is not UTF-8 text .*; save it as UTF-8"):
-        read_toml(path, Example)
 
 
 @given(st.lists(st.lists(st.floats(-1e15, 1e15), max_size=4), max_size=4))

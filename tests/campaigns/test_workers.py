@@ -1,7 +1,6 @@
 """Workers die; their items survive."""
 
 import contextlib
-import logging
 import signal
 import socket
 import warnings
@@ -65,22 +64,6 @@ def test_what_an_item_refuses_is_its_failure(run):
     assert runs[10] == 1
 
 
-@pytest.fixture
-def cluster():
-    """A cluster in this process."""
-    from distributed import LocalCluster
-
-    with LocalCluster(
-        n_workers=0,
-        threads_per_worker=1,
-        processes=False,
-        protocol="tcp://",
-        dashboard_address=None,
-        silence_logs=logging.CRITICAL,
-    ) as cluster:
-        yield cluster
-
-
 def test_a_scheduler_without_workers_is_refused(cluster, monkeypatch):
     monkeypatch.setattr(module, "PATIENCE", 0.5)
     with pytest.raises(InputError, match="has no workers"):
@@ -126,7 +109,6 @@ def test_a_missing_scheduler_is_refused(monkeypatch):
 
 @pytest.mark.parametrize("workers", ["two", "localhost:8786", "0", 0, 1e9, ""])
 def test_workers_are_a_number_or_an_address(workers):
-    with pytest.raises(InputError, match="workers: must be") as refused:
+    with pytest.raises(InputError, match="workers: must be"):
         checked_workers(workers)
-    assert "\n" not in str(refused.value)
     assert checked_workers("4") == 4

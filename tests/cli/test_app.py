@@ -13,22 +13,16 @@ import numpy as np
 import pytest
 
 import airpuck as package
-from airpuck import write_bag, write_csv
+from airpuck import write_csv
 from airpuck.boundary.extensions import added
 from airpuck.cli.app import known_commands, main
 from airpuck.cli.options import published_flights
 from airpuck.model.model_file import read_model
 from airpuck.report import reproduce as paper
 
+from ..apparatus.changes import with_propellers
 from ..apparatus.commands import airpuck, airpuck_process, ran, refused
 from ..apparatus.synthetic_flights import record
-
-
-@pytest.fixture(scope="module")
-def bag(tmp_path_factory) -> Path:
-    folder = tmp_path_factory.mktemp("bags") / "flight"
-    write_bag(record(duration=8.0, noise=1e-4), folder)
-    return folder
 
 
 @pytest.fixture(scope="module")
@@ -125,13 +119,8 @@ def test_check_agrees_and_disagrees(bag, tmp_path):
     from airpuck.craft.vehicle import default_vehicle
 
     vehicle = default_vehicle()
-    names = list(vehicle.propeller_names)
-    names[0], names[3] = names[3], names[0]
-    swapped = [
-        propeller.model_copy(update={"name": name})
-        for name, propeller in zip(names, vehicle.propellers, strict=True)
-    ]
-    vehicle.model_copy(update={"propellers": tuple(swapped)}).save(tmp_path / "swapped.toml")
+    names = [vehicle.propeller_names[k] for k in (3, 1, 2, 0, 4, 5)]
+    with_propellers(vehicle, lambda k, _: {"name": names[k]}).save(tmp_path / "swapped.toml")
     process = airpuck("check", bag, "--vehicle", tmp_path / "swapped.toml")
     assert process.returncode == 2
     assert "swapped" in process.stdout

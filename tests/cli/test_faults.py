@@ -5,11 +5,10 @@ import json
 import numpy as np
 import pytest
 
+from airpuck import Recording, Span, Stream
 from airpuck.cli.validation import listed_spans
 from airpuck.craft.vehicle import default_vehicle
-from airpuck.data.trajectory import Span
 from airpuck.recording.bag import write_bag
-from airpuck.recording.stream import Recording, Stream
 
 from ..apparatus.commands import airpuck, ran, refused
 from ..apparatus.synthetic_flights import record

@@ -6,19 +6,10 @@ import pytest
 
 # The report on a ladder, without the fits that precede it, which take a minute.
 from airpuck.model.model_file import published_model, read_model
-from airpuck.recording.bag import write_bag
 
 from ..apparatus.commands import ran
-from ..apparatus.synthetic_flights import record
 
 MODEL = published_model("M3")
-
-
-@pytest.fixture(scope="module")
-def bag(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("bags") / "flight"
-    write_bag(record(duration=9.0, noise=1e-4), folder)
-    return folder
 
 
 @pytest.mark.slow

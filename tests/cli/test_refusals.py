@@ -17,13 +17,6 @@ FOUR = str(EXAMPLES / "four_propellers" / "vehicle.toml")
 
 
 @pytest.fixture(scope="module")
-def bag(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("bags") / "flight"
-    write_bag(record(duration=4.0, noise=1e-4), folder)
-    return folder
-
-
-@pytest.fixture(scope="module")
 def archive(bag):
     path = bag.parent / "flight.npz"
     assert airpuck("preprocess", bag, "-o", path, "-q").returncode == 0
@@ -76,7 +69,7 @@ def test_lengths_that_differ_are_refused_where_nothing_checks_shapes(archive, tm
         (("evaluate", "none.toml", "{bag}"), ("none.toml", "no such file")),
         (("evaluate", "paper:M3", "nowhere"), ("nowhere",)),
         (("evaluate", "paper:M3", "{bag}", "--span", "0.9", "0.1"), ("span",)),
-        (("evaluate", "paper:M3", "{bag}", "--span", "0", "0.001"), ("fewer than two samples",)),
+        (("evaluate", "paper:M3", "{bag}", "--span", "0", "0.0005"), ("fewer than two samples",)),
         (("evaluate", "paper:M3", "{bag}", "--span", "0", "0.03"), ("70 samples",)),
         (("evaluate", "paper:M3", "{bag}", "--protocol", "nonsense"), ("--protocol",)),
         (("evaluate", "paper:M3", "{bag}", "--wrong"), ("--wrong",)),
@@ -151,24 +144,6 @@ def test_a_file_that_the_controller_refuses_is_named(tmp_path):
     (tmp_path / "mine.toml").write_text("[law.mpc]\nblock = 1\nhorizon_s = 0.8\n")
     process = airpuck(*track, "paper:M4", "--tuning", "mine.toml", "--law", "mpc", cwd=tmp_path)
     assert refused(process, "mine.toml: law.mpc.block", "240 commands; at most 200")
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "word"),
-    [
-        ("inertia_kg_m2 = ", "inertia_kg_m2 = true #", "inertia_kg_m2"),
-        ("inertia_kg_m2 = ", 'inertia_kg_m2 = "0.1" #', "inertia_kg_m2"),
-        ("inertia_kg_m2 = ", "inertia_kg_m2 = nan #", "inertia_kg_m2"),
-        ("[free]", "[free]\ninertai = true", "inertai"),
-    ],
-)
-def test_wrong_types_in_a_model_file(archive, tmp_path, old, new, word):
-    from airpuck.model.model_file import published_model
-
-    path = tmp_path / "model.toml"
-    published_model("M3").save(path)
-    path.write_text(path.read_text().replace(old, new, 1))
-    assert refused(airpuck("evaluate", path, archive), "model.toml", word)
 
 
 @pytest.mark.slow

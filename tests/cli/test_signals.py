@@ -1,7 +1,5 @@
 """Signals that reach real commands, by another process or by a terminal that closes."""
 
-from __future__ import annotations
-
 import contextlib
 import itertools
 import json

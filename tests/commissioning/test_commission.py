@@ -6,15 +6,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from airpuck import commission, read_model, read_vehicle
+from airpuck import Twin, TwinSettings, Vehicle, commission, read_model, read_vehicle
 from airpuck.commissioning.commission import STEPS
 from airpuck.commissioning.excitations import Excitations
-from airpuck.craft.vehicle import Vehicle, default_vehicle
+from airpuck.craft.vehicle import default_vehicle
 from airpuck.evaluation.presentation import largest_acceleration
 from airpuck.model.model_file import nominal_model, published_model
 from airpuck.report.commissioning_report import commissioning_report
-from airpuck.twin.settings import TwinSettings
-from airpuck.twin.twin import Twin
+from airpuck.twin.settings import Weakness
+
+from ..apparatus.changes import changed
 
 pytestmark = pytest.mark.slow
 
@@ -68,8 +69,7 @@ def test_a_craft_with_a_rough_file_earns_a_trusted_model(tmp_path):
 
 def test_a_dead_motor_ends_the_run_before_any_excitation():
     dead = {"motor": "motor_b_1", "start_s": 0.0, "stop_s": 1e4, "share": 0.0}
-    settings = QUIET.model_copy(update={"motors": TwinSettings(motors={"weak": [dead]}).motors})
-    twin = Twin(TRUTH, settings, seed=1)
+    twin = Twin(TRUTH, changed(QUIET, motors={"weak": (Weakness(**dead),)}), seed=1)
     found = commission(twin, default_vehicle())
     assert found.outcome == "actuator"
     assert found.findings[0].cause == "motor_b_1 gives little or no thrust"
@@ -81,9 +81,8 @@ def test_a_dead_motor_ends_the_run_before_any_excitation():
 def on_a_slope(tilt: float, x: float) -> Twin:
     """A twin on a table that slopes along x; one motor does not start for three seconds."""
     late = {"motor": "motor_b_1", "start_s": 0.0, "stop_s": 3.0, "share": 0.0}
-    motors = TwinSettings(motors={"weak": [late]}).motors
-    effects = TwinSettings(effects={"tilt_rad": (tilt, 0.0)}).effects
-    settings = QUIET.model_copy(update={"motors": motors, "effects": effects})
+    motors, effects = {"weak": (Weakness(**late),)}, {"tilt_rad": (tilt, 0.0)}
+    settings = changed(QUIET, motors=motors, effects=effects)
     return Twin(TRUTH, settings, seed=1, pose=(x, 0.0, 0.0))
 
 
@@ -106,8 +105,7 @@ def test_a_motor_that_a_slope_leaves_no_time_to_try_is_not_called_dead():
 
 
 def test_a_camera_that_fails_in_flight_ends_the_run_with_everything_kept(tmp_path):
-    gaps = TwinSettings(motion_capture={"gaps_s": [(5.9, 1e4)]}).motion_capture
-    twin = Twin(TRUTH, QUIET.model_copy(update={"motion_capture": gaps}), seed=2)
+    twin = Twin(TRUTH, changed(QUIET, motion_capture={"gaps_s": ((5.9, 1e4),)}), seed=2)
     found = commission(twin, default_vehicle(), tmp_path, steps=STEPS[1:4])
     assert found.outcome == "poses"
     kept = sorted(path.name for path in (tmp_path / "flights").iterdir())
@@ -115,8 +113,7 @@ def test_a_camera_that_fails_in_flight_ends_the_run_with_everything_kept(tmp_pat
 
 
 def test_on_a_slope_the_craft_is_brought_back_between_pulses():
-    tilt = TwinSettings(effects={"tilt_rad": (0.0, 0.02)}).effects
-    twin = Twin(TRUTH, QUIET.model_copy(update={"effects": tilt}), seed=5)
+    twin = Twin(TRUTH, changed(QUIET, effects={"tilt_rad": (0.0, 0.02)}), seed=5)
     found = commission(twin, default_vehicle(), steps=STEPS[1:4])
     assert "return" in [flight.name[3:] for flight in found.flights]
     assert [step.step for step in found.steps] == ["rest", "pulses", "hover"]

@@ -8,6 +8,7 @@ from airpuck.craft.vehicle import Vehicle, default_vehicle
 from airpuck.model.model_file import nominal_model
 from airpuck.physics.rigid_body import acceleration_map, turned
 
+from ..apparatus.changes import with_propellers
 from ..apparatus.models import VEHICLES
 
 
@@ -18,14 +19,13 @@ def effects(vehicle: Vehicle) -> np.ndarray:
 
 def stated(vehicle: Vehicle, order: list[int], turned: int | None = None) -> Vehicle:
     """A file that states the propellers' places in another order, and one the wrong way round."""
-    places = [vehicle.propellers[k] for k in order]
-    propellers = []
-    for k, (one, place) in enumerate(zip(vehicle.propellers, places, strict=True)):
-        direction = (place.direction_deg + 180 * (k == turned)) % 360
-        update = {"position_m": place.position_m, "direction_deg": direction}
-        update["reverse"] = place.reverse
-        propellers.append(one.model_copy(update=update))
-    return vehicle.model_copy(update={"propellers": tuple(propellers), "pairs": ()})
+
+    def place(k: int, _) -> dict:
+        there = vehicle.propellers[order[k]]
+        direction = (there.direction_deg + 180 * (k == turned)) % 360
+        return there.model_dump(exclude={"name"}) | {"direction_deg": direction}
+
+    return with_propellers(vehicle, place).model_copy(update={"pairs": ()})
 
 
 @pytest.mark.parametrize("name", VEHICLES)
@@ -52,12 +52,8 @@ ALL, EACH_ONCE, BACKWARDS = range(8), (0, 5, 6, 3), (4, 5, 6, 7)
 
 @pytest.mark.parametrize("tried", [ALL, EACH_ONCE, BACKWARDS])
 def test_propellers_that_push_both_ways_are_put_where_they_act(tried):
-    one_way = VEHICLES["four"]()
-    both = [
-        one.model_copy(update={"reverse": share})
-        for one, share in zip(one_way.propellers, (0.5, 0.6, 0.7, 0.8), strict=True)
-    ]
-    true = one_way.model_copy(update={"propellers": tuple(both), "pairs": ()})
+    one_way = VEHICLES["four"]().model_copy(update={"pairs": ()})
+    true = with_propellers(one_way, lambda k, _: {"reverse": 0.5 + 0.1 * k})
     wrong = stated(true, [1, 0, 2, 3], turned=2)
     seen = np.full((3, 8), np.nan)
     seen[:, tried] = effects(true)[:, tried]
@@ -125,9 +121,8 @@ def test_pulses_give_thrusts_and_inertia_in_units_of_the_stated_mass():
 
 
 def test_pulses_backwards_tell_the_thrust_of_a_propeller_that_was_not_tried_forwards():
-    one_way = VEHICLES["four"]()
-    both = tuple(one.model_copy(update={"reverse": 0.6}) for one in one_way.propellers)
-    rough = one_way.model_copy(update={"propellers": both, "pairs": ()})
+    one_way = VEHICLES["four"]().model_copy(update={"pairs": ()})
+    rough = with_propellers(one_way, lambda *_: {"reverse": 0.6})
     seen = effects(rough) * [0.5, np.nan, 1.0, 1.2, 0.7, 0.4, 1.1, np.nan]
     found = measured(nominal_model(rough), seen, 0.05)
     strength = np.array([0.5, 0.4, 1.0, 1.2])[:, None]

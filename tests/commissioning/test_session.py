@@ -5,13 +5,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from airpuck import commission, read_recording
+from airpuck import Measurement, Pilot, Step, commission, read_recording
 from airpuck.boundary.results import Finding
 from airpuck.commissioning.excitations import WarmUp, first_cause
 from airpuck.commissioning.steps import Pulses, Rest, hovering
-from airpuck.control.law import Pilot, Step
 from airpuck.craft.vehicle import default_vehicle
-from airpuck.data.measurement import Measurement
 from airpuck.physics.rigid_body import turned
 
 VEHICLE = default_vehicle()

@@ -6,18 +6,14 @@ from itertools import combinations
 import numpy as np
 import pytest
 
+from airpuck import SetPoint, SetPoints, Step, TrackingController, Twin, TwinSettings, Vehicle
 from airpuck.control.authority import LEAST_EFFORT, control_authority, weakest_effort
 from airpuck.control.landing import Landing
-from airpuck.control.law import Step
-from airpuck.control.reference import SetPoint, SetPoints
-from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import default_tuning
-from airpuck.craft.vehicle import Vehicle
 from airpuck.estimate.estimator import ActuationEstimate, Estimate
 from airpuck.flight.loop import fly
 from airpuck.model.model_file import nominal_model, published_model
-from airpuck.twin.settings import Motors, TwinSettings, Weakness
-from airpuck.twin.twin import Twin
+from airpuck.twin.settings import Motors, Weakness
 
 from ..apparatus.models import scaled
 

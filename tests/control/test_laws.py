@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 import airpuck
-from airpuck.boundary.errors import InputError
+from airpuck import MPC, InputError
 from airpuck.control.law import LawOptions, law_named
 from airpuck.control.laws import LAWS
-from airpuck.control.mpc import MPC
 from airpuck.control.tuning import default_tuning
 from airpuck.model.model_file import published_model
 from airpuck.twin.experiments import track

@@ -7,12 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from airpuck import InputError, read_vehicle
+from airpuck import InputError, SetPoint, TrackingController, Tuning, read_vehicle
 from airpuck.control.excitation import Excitation
 from airpuck.control.modulation import MODULATORS, PulseWidth
-from airpuck.control.reference import SetPoint
-from airpuck.control.tracking import TrackingController
-from airpuck.control.tuning import Modulation, Tuning, default_tuning, read_tuning
+from airpuck.control.tuning import Modulation, default_tuning, read_tuning
 from airpuck.craft.actuators import OnOff
 from airpuck.model.model_file import nominal_model
 

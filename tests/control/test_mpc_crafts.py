@@ -6,14 +6,10 @@ import numpy as np
 import pytest
 from studies.false_alarms import craft
 
-from airpuck.boundary.errors import InputError
+from airpuck import LQR, InputError, Model, SetPoint, Step, TrackingController, Tuning
 from airpuck.control.excitation import Excitation
-from airpuck.control.law import Step
-from airpuck.control.lqr import LQR
-from airpuck.control.reference import SetPoint
-from airpuck.control.tracking import TrackingController
-from airpuck.control.tuning import Tuning, default_tuning
-from airpuck.model.model_file import Model, published_model
+from airpuck.control.tuning import default_tuning
+from airpuck.model.model_file import published_model
 from airpuck.physics.rigid_body import Dynamics, derivative
 
 pytestmark = pytest.mark.slow

@@ -9,16 +9,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from airpuck.boundary.errors import InputError
+from airpuck import InputError, Model, SetPoint, SetPoints, TimedPath, TrackingController
 from airpuck.control import tracking
 from airpuck.control.lqr import motor_lag
-from airpuck.control.reference import SetPoint, SetPoints, TimedPath
-from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import default_tuning
 from airpuck.estimate.estimator import Estimate
 from airpuck.model.parameters import nominal_parameters
 from airpuck.physics.rigid_body import acceleration
 
+from ..apparatus.changes import with_propellers
 from ..apparatus.closed_loops import (
     HOME,
     LEAST,
@@ -165,12 +164,17 @@ def test_set_points_are_reached_and_the_yaw_turns_the_shorter_way():
     assert all(step.flies for step in steps)
 
 
-@pytest.mark.slow
-def test_a_path_is_followed_closely_thanks_to_its_feed_forward():
+def circle() -> TimedPath:
+    """Once around at 0.3 m/s, between half a second of rest."""
     times = np.linspace(0, 4, 41)
     angle = 2 * np.pi * np.clip(times - 0.5, 0, 3) / 3
-    circle = np.stack([0.15 * (1 - np.cos(angle)), 0.15 * np.sin(angle), 0 * angle], axis=1)
-    path = TimedPath(times, circle)
+    poses = np.stack([0.15 * (1 - np.cos(angle)), 0.15 * np.sin(angle), 0 * angle], axis=1)
+    return TimedPath(times, poses)
+
+
+@pytest.mark.slow
+def test_a_path_is_followed_closely_thanks_to_its_feed_forward():
+    path = circle()
 
     class Bare:
         """The same poses, without rates and accelerations."""
@@ -190,11 +194,8 @@ def test_a_path_is_followed_closely_thanks_to_its_feed_forward():
 
 
 def test_a_path_is_followed_in_time_over_a_slow_radio():
-    # 0.3 m/s: a path read one transport delay too early or too late is 5 cm away.
-    times = np.linspace(0, 4, 41)
-    angle = 2 * np.pi * np.clip(times - 0.5, 0, 3) / 3
-    circle = np.stack([0.15 * (1 - np.cos(angle)), 0.15 * np.sin(angle), 0 * angle], axis=1)
-    path = TimedPath(times, circle)
+    # A path read one transport delay too early or too late is 5 cm away.
+    path = circle()
     late = MODEL.with_delay(LONG)
     when, poses, _ = fly(TrackingController(late, path), 3.4, delay=LONG)
     wanted = np.array([path.at(float(t), 0.0).state[:2] for t in when])
@@ -254,53 +255,47 @@ LIMITED = TrackingController(
 )
 
 
-def test_a_falling_thrust_curve_is_refused():
+def with_curves() -> Model:
     curves = MODEL.parameters.thrust.copy()
     curves[2] = [0.5, 0.0, -0.4]  # steepest downwards at full speed
-    falling = replace(MODEL, parameters=replace(MODEL.parameters, thrust=curves))
-    with pytest.raises(InputError, match="thrust curve of propeller 3 falls"):
-        TrackingController(falling, HOME, compiled=False)
+    return replace(MODEL, parameters=replace(MODEL.parameters, thrust=curves))
 
 
-def test_propellers_that_cannot_turn_the_craft_are_refused():
+def that_cannot_turn() -> Model:
     matrix = MODEL.dynamics.configuration.copy()
     matrix[2] = 0
-    straight = replace(MODEL.parameters, configuration_matrix=matrix)
-    with pytest.raises(InputError, match="cannot push and turn in every direction"):
-        TrackingController(replace(MODEL, parameters=straight), HOME, compiled=False)
+    return replace(MODEL, parameters=replace(MODEL.parameters, configuration_matrix=matrix))
 
 
-def test_propellers_that_all_push_along_one_line_are_refused():
-    old = MODEL.vehicle
-    propellers = tuple(
-        p.model_copy(update={"direction_deg": 180.0 * i}) for i, p in enumerate(old.propellers)
-    )
-    vehicle = old.model_copy(update={"propellers": propellers})
+def on_other_propellers(change) -> Model:
+    """The model of the vehicle whose propellers have other keys, by their number."""
+    vehicle = with_propellers(MODEL.vehicle, change)
     parameters = nominal_parameters(vehicle)
     free = parameters.mask(frozenset())
-    model = replace(MODEL, vehicle=vehicle, parameters=parameters, free=free)
-    with pytest.raises(InputError, match=r"no propeller .*no controller can steer it"):
-        TrackingController(model, HOME, compiled=False)
+    return replace(MODEL, vehicle=vehicle, parameters=parameters, free=free)
 
 
-def test_propellers_that_turn_the_craft_one_way_only_are_refused():
-    # Three tangential propellers span all accelerations, but only with negative thrusts.
-    old = MODEL.vehicle
-    propellers = tuple(
-        p.model_copy(
-            update={
-                "direction_deg": 90.0 + 120.0 * i,
-                "position_m": (0.05 * np.cos(2.0944 * i), 0.05 * np.sin(2.0944 * i)),
-            }
-        )
-        for i, p in enumerate(old.propellers)
-    )
-    vehicle = old.model_copy(update={"propellers": propellers})
-    parameters = nominal_parameters(vehicle)
-    model = replace(
-        MODEL, vehicle=vehicle, parameters=parameters, free=parameters.mask(frozenset())
-    )
-    with pytest.raises(InputError, match="cannot push and turn in every direction"):
+def one_way(k: int, _) -> dict:
+    """Three tangential propellers span all accelerations, but only with negative thrusts."""
+    position = (0.05 * np.cos(2.0944 * k), 0.05 * np.sin(2.0944 * k))
+    return {"direction_deg": 90.0 + 120.0 * k, "position_m": position}
+
+
+@pytest.mark.parametrize(
+    ("model", "says"),
+    [
+        (with_curves(), "thrust curve of propeller 3 falls"),
+        (that_cannot_turn(), "cannot push and turn in every direction"),
+        (
+            on_other_propellers(lambda k, _: {"direction_deg": 180.0 * k}),
+            r"no propeller .*no controller can steer it",
+        ),
+        (on_other_propellers(one_way), "cannot push and turn in every direction"),
+    ],
+    ids=["a falling curve", "no turn", "one line", "one sense of rotation"],
+)
+def test_a_craft_that_cannot_be_steered_is_refused(model, says):
+    with pytest.raises(InputError, match=says):
         TrackingController(model, HOME, compiled=False)
 
 

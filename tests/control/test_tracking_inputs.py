@@ -5,13 +5,8 @@ from itertools import count, takewhile
 import numpy as np
 import pytest
 
-from airpuck.boundary.errors import InputError
+from airpuck import Fence, InputError, Measurement, SetPoint, Step, TrackingController
 from airpuck.control.allocation import Daqp
-from airpuck.control.law import Step
-from airpuck.control.limits import Fence
-from airpuck.control.reference import SetPoint
-from airpuck.control.tracking import TrackingController
-from airpuck.data.measurement import Measurement
 
 from ..apparatus.closed_loops import FRAME, IDLE, MODEL, NOTHING, controller, hold_still, idles
 
@@ -23,17 +18,21 @@ def test_without_a_pose_the_motors_idle():
     assert ours.step(0.0).flies
 
 
+def restarts_at_rest(ours, time: float) -> None:
+    """The next pose, 5 cm from the last one, restarts the estimate there."""
+    ours.pose(time, np.array([0.05, 0.0, 0.0]))
+    step = ours.step(time)
+    assert step.flies
+    np.testing.assert_allclose(step.request[0], ours.law.gain[0, 0] * 0.05, atol=0.02)
+
+
 def test_a_stale_pose_idles_the_motors_until_the_next():
     ours = controller(SetPoint(0.1, 0, 0))
     last = hold_still(ours)
     assert ours.step(last + 0.049).flies
     idles(ours.step(last + 0.051), "stale pose")
     idles(ours.step(last + 10), "stale pose")
-    ours.pose(last + 10, np.array([0.05, 0.0, 0.0]))
-    step = ours.step(last + 10)
-    assert step.flies
-    # Restarted there, at rest.
-    np.testing.assert_allclose(step.request[0], ours.law.gain[0, 0] * 0.05, atol=0.02)
+    restarts_at_rest(ours, last + 10)
 
 
 @pytest.mark.parametrize("jump", [[0.2, 0, 0], [0, -0.2, 0], [0, 0, 2.0]])
@@ -276,11 +275,7 @@ def test_a_stamp_in_the_future_idles_the_motors_until_the_next_pose():
     last = hold_still(ours)
     ours.pose(last + 10, NOTHING)
     idles(ours.step(last + FRAME), "stale pose")
-    ours.pose(last + 2 * FRAME, np.array([0.05, 0.0, 0.0]))
-    step = ours.step(last + 2 * FRAME)
-    assert step.flies
-    # Restarted there, at rest.
-    np.testing.assert_allclose(step.request[0], ours.law.gain[0, 0] * 0.05, atol=0.02)
+    restarts_at_rest(ours, last + 2 * FRAME)
 
 
 def test_a_solver_that_fails_idles_the_motors_until_it_works(monkeypatch):

@@ -9,7 +9,6 @@ import pytest
 from airpuck import InputError, named_rung, read_vehicle
 from airpuck.craft.vehicle import default_vehicle
 from airpuck.craft.wheel import Spinning, Wheel
-from airpuck.export import write
 from airpuck.model.model_file import nominal_model
 
 from ..apparatus.two_way_craft import triangle
@@ -102,11 +101,3 @@ def test_a_vehicle_lists_its_kinds_of_actuators(tmp_path: Path) -> None:
     assert default_vehicle().actuation.kinds == ("propeller",)
     kinds = triangle(tmp_path).actuation.kinds
     assert kinds == ("propeller", "reversible propeller", "reaction wheel")
-
-
-@pytest.mark.parametrize("kind", ["c", "fmu", "mjcf", "holohover", "gym"])
-def test_exports_refuse_them_by_name(kind: str, tmp_path: Path) -> None:
-    pytest.importorskip("gymnasium")
-    model = nominal_model(triangle(tmp_path))
-    with pytest.raises(InputError, match="revers"):
-        write(model, kind, tmp_path / kind)

@@ -3,14 +3,10 @@
 import numpy as np
 import pytest
 
-from airpuck.boundary.errors import InputError
-from airpuck.craft.vehicle import (
-    Vehicle,
-    default_vehicle,
-    match_columns,
-    read_vehicle,
-    unnamed_columns,
-)
+from airpuck import InputError, Vehicle
+from airpuck.craft.vehicle import default_vehicle, match_columns, read_vehicle, unnamed_columns
+
+from ..apparatus.changes import with_propellers
 
 QUAD = """
 name = "quad"
@@ -126,16 +122,7 @@ def test_vehicles_compare_and_hash():
 def test_columns_without_names_are_in_the_order_of_the_vehicle():
     vehicle = default_vehicle()
     assert match_columns(vehicle, unnamed_columns(6), source="x") == [0, 1, 2, 3, 4, 5]
-    renamed = vehicle.model_copy(
-        update={
-            "propellers": tuple(
-                propeller.model_copy(update={"name": name})
-                for propeller, name in zip(
-                    vehicle.propellers, unnamed_columns(6)[::-1], strict=True
-                )
-            )
-        }
-    )
+    renamed = with_propellers(vehicle, lambda k, _: {"name": unnamed_columns(6)[5 - k]})
     assert match_columns(renamed, unnamed_columns(6), source="x") == [5, 4, 3, 2, 1, 0]
     with pytest.raises(InputError, match=r"has 4 motors.*--vehicle"):
         match_columns(vehicle, unnamed_columns(4), source="x")

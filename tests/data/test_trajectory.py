@@ -75,22 +75,15 @@ def test_trajectories_agree_on_their_vehicle(flight):
         vehicle_of([one, unknown, other])
 
 
-@pytest.mark.parametrize("content", [b"", b"PK\x03\x04junk", b"\x93NUMPY", b"text"])
-def test_junk_is_refused(tmp_path, content):
-    path = tmp_path / "junk.npz"
-    path.write_bytes(content)
-    with pytest.raises(InputError, match=r"junk\.npz"):
-        read_trajectory(path)
-
-
-def test_a_cut_file_and_pickled_arrays_are_refused(flight, tmp_path):
+def test_junk_a_cut_file_and_pickled_arrays_are_refused(flight, tmp_path):
     path = tmp_path / "flight.npz"
     flight.save(path)
     content = path.read_bytes()
     np.savez(path, t=np.array([object()], dtype=object))
-    for part in (path.read_bytes(), *(content[: len(content) * k // 13] for k in range(13))):
+    cut = (content[: len(content) * k // 13] for k in range(13))
+    for part in (path.read_bytes(), *cut, b"PK\x03\x04junk", b"\x93NUMPY", b"text"):
         path.write_bytes(part)
-        with pytest.raises(InputError):
+        with pytest.raises(InputError, match=r"flight\.npz"):
             read_trajectory(path)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from airpuck.boundary.errors import InputError
+from airpuck import InputError, PaperEncoder
 from airpuck.data.windows import Past, make_windows
 from airpuck.deviation.motor_regression import accelerations_by_motor, following, twice_integrated
 
@@ -16,7 +16,6 @@ from airpuck.estimate.actuation import (
     EffectivenessPrior,
     _motion,
 )
-from airpuck.estimate.encoder import PaperEncoder
 from airpuck.evaluation.evaluate import PROTOCOLS, evaluate
 from airpuck.identification.fit import identify
 from airpuck.model.model_file import published_model

@@ -6,8 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airpuck.control.reference import SetPoint
-from airpuck.control.tracking import TrackingController
+from airpuck import SetPoint, TrackingController
 from airpuck.control.tuning import default_tuning
 from airpuck.data.windows import Past
 from airpuck.estimate import actuation

@@ -6,8 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airpuck.control.reference import SetPoint, SetPoints
-from airpuck.control.tracking import TrackingController
+from airpuck import SetPoint, SetPoints, TrackingController, Twin
 from airpuck.control.tuning import default_tuning
 from airpuck.estimate.axis_filter import Noise
 from airpuck.estimate.estimator import BEYOND, ActuationEstimate
@@ -15,7 +14,6 @@ from airpuck.estimate.kalman import ActuationFilter
 from airpuck.flight.loop import fly
 from airpuck.model.model_file import nominal_model, published_model
 from airpuck.model.uncertainty import DelayJitter
-from airpuck.twin.twin import Twin
 
 from ..apparatus.random_flights import HOLD, POSE_RATE, random_flight
 from ..apparatus.two_way_craft import triangle

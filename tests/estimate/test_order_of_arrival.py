@@ -6,9 +6,7 @@ from copy import copy
 import numpy as np
 import pytest
 
-from airpuck.control.reference import SetPoint
-from airpuck.control.tracking import TrackingController
-from airpuck.data.measurement import Measurement
+from airpuck import Measurement, SetPoint, TrackingController
 from airpuck.estimate.estimator import Estimate
 from airpuck.estimate.kalman import ActuationFilter, KalmanFilter
 

@@ -1,7 +1,5 @@
 """Failed starts of motors, in simulated flights whose starts are known."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -5,10 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airpuck.boundary.errors import InputError
-from airpuck.data.trajectory import Span
+from airpuck import InputError, Protocol, Span
 from airpuck.evaluation.comparison import coasting
-from airpuck.evaluation.evaluate import Protocol, compare, evaluate
+from airpuck.evaluation.evaluate import compare, evaluate
 from airpuck.model.model_file import published_model, read_model
 
 from ..apparatus.models import four_propellers, model_of

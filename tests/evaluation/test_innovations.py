@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airpuck.boundary.errors import InputError
-from airpuck.data.trajectory import Span
+from airpuck import InputError, Span
 from airpuck.estimate.axis_filter import Noise
 from airpuck.estimate.kalman import KalmanFilter
 from airpuck.evaluation.innovations import (

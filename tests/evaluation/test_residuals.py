@@ -7,13 +7,12 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from airpuck.boundary.errors import InputError
+from airpuck import InputError, Model
 from airpuck.deviation.significance import holm
 
 # Rounding rarely affects a verdict, so check the matrix itself.
 from airpuck.evaluation.residuals import BODY_CHANNELS, _effects, cross_correlations, resid
 from airpuck.evaluation.statistical_tests import LEAST_SHARE, beyond_least, ljung_box
-from airpuck.model.model_file import Model
 
 from ..apparatus.models import scaled
 from ..apparatus.noisy_flights import TRUTH, noisy

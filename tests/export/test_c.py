@@ -9,13 +9,10 @@ import numpy as np
 import pytest
 
 import airpuck
-from airpuck.boundary.errors import InputError
+from airpuck import InputError, Plan, SetPoint, TrackingController, Tuning
 from airpuck.control.horizon import Condensed
 from airpuck.control.predictive import SoftLimits
-from airpuck.control.reference import SetPoint
-from airpuck.control.tracking import TrackingController
-from airpuck.control.tuning import Tuning, default_tuning
-from airpuck.planning.plan import Plan
+from airpuck.control.tuning import default_tuning
 
 from ..apparatus.c_programs import SANITIZED, SINGLE, STRICT, build, compiler
 from ..apparatus.compiled_controllers import CompiledController, compare, library

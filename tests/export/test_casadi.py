@@ -10,31 +10,20 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from airpuck import export
-from airpuck.boundary.errors import InputError
+from airpuck import InputError, export
 from airpuck.export.casadi import functions
 from tests.apparatus.export_crafts import (
     ALL_EFFECTS,
     DISH,
-    EFFECTS,
     EXAMPLES,
     FOUR,
-    ON_OFF,
+    HELD,
     PAPER,
-    REVERSIBLE,
     random_states,
     with_vector,
 )
 
-CRAFT = {
-    **PAPER,
-    **EFFECTS,
-    "all effects": ALL_EFFECTS,
-    "dish": DISH,
-    "four": FOUR,
-    "on/off": ON_OFF,
-    "reversible": REVERSIBLE,
-}
+CRAFT = {**HELD, "dish": DISH}
 
 
 def numbers(value):

@@ -17,15 +17,14 @@ from fmpy.build import build_platform_binary
 from fmpy.fmi3 import FMU3Slave
 from fmpy.validation import validate_fmu
 
-from airpuck.boundary.errors import InputError
-from airpuck.craft.table import Table
+from airpuck import InputError, Model, Table, Twin, TwinSettings
 from airpuck.export import write
-from airpuck.model.model_file import Model, published_model
+from airpuck.model.model_file import published_model
 from airpuck.twin.plant import build_plant
-from airpuck.twin.settings import Effects, OnBoard, TwinSettings, default_twin_settings
-from airpuck.twin.twin import Twin
+from airpuck.twin.settings import Effects, OnBoard, default_twin_settings
 
 from ..apparatus.c_programs import SANITIZED, STRICT, build, compiler
+from ..apparatus.changes import changed
 from ..apparatus.export_crafts import FOUR
 
 ABUSE = Path(__file__).parent / "abuse_fmu.c"
@@ -39,17 +38,14 @@ COMMON = 5
 
 def settings(**more: object) -> TwinSettings:
     """A small table without noise, so that the craft often meets a rail."""
-    packaged = default_twin_settings()
-    camera = packaged.motion_capture.model_copy(
-        update={"position_noise_m": 0.0, "yaw_noise_rad": 0.0, "latency_jitter_s": 0.0}
+    quiet = changed(
+        default_twin_settings(),
+        table=Table(length_m=0.2, width_m=0.18),
+        radio={"jitter_s": 0.0},
+        motion_capture={"position_noise_m": 0.0, "yaw_noise_rad": 0.0, "latency_jitter_s": 0.0},
+        on_board=OnBoard(rate_hz=0.0),
     )
-    quiet = {
-        "table": Table(length_m=0.2, width_m=0.18),
-        "radio": packaged.radio.model_copy(update={"jitter_s": 0.0}),
-        "motion_capture": camera,
-        "on_board": OnBoard(rate_hz=0.0),
-    }
-    return packaged.model_copy(update={**quiet, **more})
+    return changed(quiet, **more)
 
 
 def compiled(unit: Path) -> None:
@@ -200,9 +196,8 @@ def test_same_flight_as_the_twin(unit: Path) -> None:
 
 def test_parameters_do_what_the_twin_s_settings_do(unit: Path) -> None:
     table = Table(length_m=0.22, width_m=0.19, restitution=0.9, friction=0.5)
-    camera = settings().motion_capture.model_copy(update={"rate_hz": 60.0, "latency_s": 0.03})
-    radio = settings().radio.model_copy(update={"delay_s": 0.0})
-    changed = replace(MODEL, parameters=replace(MODEL.parameters, motor_time_constant=0.0))
+    camera, radio = {"rate_hz": 60.0, "latency_s": 0.03}, {"delay_s": 0.0}
+    prompt = replace(MODEL, parameters=replace(MODEL.parameters, motor_time_constant=0.0))
     parameters = {
         "motor.time_constant": 0.0,
         "radio.delay": 0.0,
@@ -214,7 +209,7 @@ def test_parameters_do_what_the_twin_s_settings_do(unit: Path) -> None:
         "table.friction": 0.5,
     }
     twin = settings(table=table, motion_capture=camera, radio=radio)
-    fly_both(changed, twin, Simulation(unit, **parameters))
+    fly_both(prompt, twin, Simulation(unit, **parameters))
 
 
 @pytest.mark.slow
@@ -373,11 +368,8 @@ def test_fmpy_builds_and_simulates_it(tmp_path: Path, monkeypatch: pytest.Monkey
     ],
 )
 def test_settings_that_it_cannot_represent(update: dict, named: str, tmp_path: Path) -> None:
-    twin = settings()
-    ((section, fields),) = update.items()
-    changed = getattr(twin, section).model_copy(update=fields)
     with pytest.raises(InputError, match=named):
-        write(MODEL, "fmu", tmp_path / "out", twin=twin.model_copy(update={section: changed}))
+        write(MODEL, "fmu", tmp_path / "out", twin=settings(**update))
     assert not (tmp_path / "out").exists()
 
 

@@ -10,15 +10,14 @@ import pytest
 from gymnasium.utils.env_checker import check_env, data_equivalence
 from gymnasium.vector import AutoresetMode
 
-from airpuck.boundary.errors import InputError
-from airpuck.craft.table import Table
+from airpuck import InputError, Table, Twin
 from airpuck.export import write
 from airpuck.export.gym import ENVIRONMENTS, CourseEnv, CourseVectorEnv
 from airpuck.export.gym_task import CourseTask
 from airpuck.model.model_file import published_model
 from airpuck.twin.experiments import COURSES
-from airpuck.twin.twin import Twin
 
+from ..apparatus.changes import changed
 from ..apparatus.environments import MODEL, NOISELESS, PERIOD, SETTINGS, actions, flown
 
 # Gymnasium warns of infinite bounds, which rates have.
@@ -59,8 +58,7 @@ def test_a_seed_determines_the_episode():
 
 def test_a_flight_is_the_twins():
     # Without jitter the seed of the twin does not matter.
-    radio = NOISELESS.radio.model_copy(update={"jitter_s": 0.0})
-    settings = NOISELESS.model_copy(update={"radio": radio})
+    settings = changed(NOISELESS, radio={"jitter_s": 0.0})
     start, commands = (0.2, -0.1, 1.0), actions(40)
     twin, env = Twin(MODEL, settings, pose=start), CourseEnv(twin=settings)
     env.reset(options={"start": start, "goal": (0.0, 0.0, 0.0)})
@@ -111,12 +109,8 @@ def test_a_seed_determines_the_vector_environment():
 
 
 def test_the_cameras_clock_shifts_ages_only():
-    capture, commands = NOISELESS.motion_capture, actions(5)
-    early = capture.model_copy(update={"clock_offset_s": -2.0})
-    found = [
-        flown(CourseEnv(twin=NOISELESS.model_copy(update={"motion_capture": c})), commands, seed=0)
-        for c in (capture, early)
-    ]
+    early = changed(NOISELESS, motion_capture={"clock_offset_s": -2.0})
+    found = [flown(CourseEnv(twin=one), actions(5), seed=0) for one in (NOISELESS, early)]
     for (plain, *_), (shifted, *_) in zip(*found, strict=True):
         np.testing.assert_allclose(shifted["pose_age"], plain["pose_age"] + 2.0, atol=1e-9)
         np.testing.assert_allclose(shifted["pose_rate"], plain["pose_rate"], atol=1e-6)

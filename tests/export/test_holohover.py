@@ -6,8 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airpuck import export
-from airpuck.boundary.errors import InputError
+from airpuck import InputError, export
 from airpuck.boundary.files import load_yaml
 from airpuck.export.holohover import params_json, params_yaml
 from airpuck.model.model_file import read_model

@@ -9,14 +9,12 @@ import mujoco
 import numpy as np
 import pytest
 
-from airpuck import export
-from airpuck.boundary.errors import InputError
+from airpuck import InputError, Plan, export
 from airpuck.control.lqr import LQRSettings, lqr_gain
 from airpuck.control.tuning import default_tuning, tuning_for
 from airpuck.export import kinds
 from airpuck.export.c import initializer
 from airpuck.model.model_file import nominal_model, read_model
-from airpuck.planning.plan import Plan
 from airpuck.twin.settings import default_twin_settings
 from tests.apparatus.commands import airpuck, refused
 from tests.apparatus.export_crafts import DISH, FOUR, ON_OFF, PAPER, REVERSIBLE, WHEELED

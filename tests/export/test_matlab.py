@@ -9,25 +9,9 @@ import pytest
 from airpuck import export
 from airpuck.model.simulation import linearize, trim
 from tests.apparatus.c_programs import compiler
-from tests.apparatus.export_crafts import (
-    ALL_EFFECTS,
-    EFFECTS,
-    FOUR,
-    ON_OFF,
-    PAPER,
-    REVERSIBLE,
-    random_states,
-)
+from tests.apparatus.export_crafts import HELD, PAPER, random_states
 
-CRAFT = {
-    **PAPER,
-    **EFFECTS,
-    "body": replace(PAPER["M3"], frame="body"),
-    "all effects": ALL_EFFECTS,
-    "four": FOUR,
-    "on/off": ON_OFF,
-    "reversible": REVERSIBLE,
-}
+CRAFT = {**HELD, "body": replace(PAPER["M3"], frame="body")}
 YAW, PERIOD, STATES = 0.7, 0.02, 12
 DRIVER = """
 cd('{folder}'); clear all;

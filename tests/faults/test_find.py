@@ -5,16 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airpuck.boundary.errors import InputError
-from airpuck.craft.vehicle import Vehicle, default_vehicle
-from airpuck.data.trajectory import Span
+from airpuck import InputError, Span, Twin, Vehicle
+from airpuck.craft.vehicle import default_vehicle
 from airpuck.faults.find import find_faults
 from airpuck.model.model_file import nominal_model, published_model
 from airpuck.physics.rigid_body import rollout
 from airpuck.preprocessing.pipeline import preprocess
 from airpuck.recording.torch_archive import read_authors_experiment
 from airpuck.twin.settings import default_twin_settings
-from airpuck.twin.twin import Twin
 
 from ..apparatus.models import four_propellers, model_of, scaled
 from ..apparatus.public_recordings import VALIDATION

@@ -5,18 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airpuck.craft.vehicle import Vehicle, default_vehicle
-from airpuck.data.trajectory import Trajectory
+from airpuck import Model, Recording, Trajectory, Vehicle
+from airpuck.craft.vehicle import default_vehicle
 from airpuck.faults.find import find_faults
 from airpuck.faults.layout_check import check_layout
 from airpuck.faults.strengths import find_strengths, on_table_of, recording_findings, usual_rung
 from airpuck.identification.fit import identify
-from airpuck.model.model_file import Model, nominal_model
+from airpuck.model.model_file import nominal_model
 from airpuck.preprocessing.pipeline import preprocess
-from airpuck.recording.stream import Recording
 from airpuck.twin.experiments import excite
 
 from ..apparatus.beliefs import believed
+from ..apparatus.changes import changed, with_propellers
 from ..apparatus.models import scaled
 from ..apparatus.synthetic_flights import fly, record
 from ..apparatus.two_way_craft import triangle
@@ -90,24 +90,20 @@ def test_motors_in_another_order_are_the_cause(recording):
 
 
 def test_directions_of_the_air_are_the_cause(recording):
-    vehicle = default_vehicle()
-    turned = [
-        one.model_copy(update={"direction_deg": one.direction_deg + 180})
-        for one in vehicle.propellers
-    ]
-    wrong = vehicle.model_copy(update={"propellers": tuple(turned)})
+    wrong = with_propellers(
+        default_vehicle(), lambda _, p: {"direction_deg": p.direction_deg + 180}
+    )
     flight = replace(with_mistake(recording), vehicle=wrong)
     (found,) = recording_findings(flight, Vehicle.model_validate(wrong.model_dump()))
     assert (found.kind, found.cause) == ("signs", "All propellers push the other way")
 
 
 def test_one_reversed_motor_does_not_make_the_recording_suspect(recording):
-    vehicle = default_vehicle()
-    first, *others = vehicle.propellers
-    first = first.model_copy(update={"direction_deg": first.direction_deg + 180})
-    wrong = vehicle.model_copy(update={"propellers": (first, *others)})
+    wrong = with_propellers(
+        default_vehicle(), lambda k, p: {"direction_deg": p.direction_deg + 180 * (k == 0)}
+    )
     (found,) = recording_findings(with_mistake(recording), wrong)
-    assert (found.kind, found.cause) == ("actuator", f"{first.name} pushes the other way")
+    assert (found.kind, found.cause) == ("actuator", "motor_a_1 pushes the other way")
 
 
 #: Position and direction of craft with other numbers of propellers.
@@ -196,8 +192,7 @@ def test_a_motor_somewhat_below_the_others_is_named_with_its_factor(count):
 )
 def test_less_than_the_usual_spread_is_not_named(share, spread, named):
     model = fitted(truth(craft(6), share), 0.004)
-    nominal = model.vehicle.nominal.model_copy(update={"thrust_spread": spread})
-    vehicle = model.vehicle.model_copy(update={"nominal": nominal})
+    vehicle = changed(model.vehicle, nominal={"thrust_spread": spread})
     strengths = find_strengths(replace(model, vehicle=vehicle))
     assert len(strengths.remarkable) == named
     assert strengths.actuators[0].of_others == pytest.approx(share)
@@ -233,18 +228,12 @@ def test_what_is_not_known_is_not_judged():
 
 def wrong(vehicle: Vehicle, kind: str) -> Vehicle:
     """A vehicle file that turns the first propeller around, or swaps it with the second."""
-    first, second, *others = vehicle.propellers
-    if kind == "reversed":
-        turned = {"direction_deg": first.direction_deg + 180}
-        edited = (first.model_copy(update=turned), second)
-    else:
-        edited = (
-            second.model_copy(update={"name": first.name}),
-            first.model_copy(update={"name": second.name}),
-        )
-    return Vehicle.model_validate(
-        vehicle.model_dump() | {"propellers": [p.model_dump() for p in (*edited, *others)]}
-    )
+    first, second, *_ = vehicle.propellers
+    places = [one.model_dump(exclude={"name"}) for one in (second, first)]
+    edited = dict(enumerate(places)) if kind == "swapped" else {}
+    edited |= {0: {"direction_deg": first.direction_deg + 180}} if kind == "reversed" else {}
+    wrong = with_propellers(vehicle, lambda k, _: edited.get(k, {}))
+    return Vehicle.model_validate(wrong.model_dump())
 
 
 @pytest.mark.parametrize("count", [3, 4, 6, 8])

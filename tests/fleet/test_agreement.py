@@ -144,6 +144,7 @@ MESSAGE = FLEET.agreement("h0", start=3.0).message(2.5)
 LETTER = Letter(MESSAGE, 10**18, 10**18 + 5, True, digest(FLEET.opening))
 FIELDS = json.loads(LETTER.text())["message"]
 PATH = FIELDS["agreed"][1]
+BACKWARDS = {key: [[-1], [0], [0]] for key in ("durations", "accelerations")}
 
 
 def test_a_message_survives_the_wire_to_the_bit():
@@ -176,15 +177,7 @@ def test_the_digest_tells_paths_of_other_models_apart():
         {"message": {**FIELDS, "agreed": [0, {**PATH, "pose": [1.0]}]}},
         {"message": {**FIELDS, "agreed": [0, {**PATH, "durations": 1.0}]}},
         {"message": {**FIELDS, "accepted": ["h1"]}},
-        {
-            "message": {
-                **FIELDS,
-                "agreed": [
-                    0,
-                    PATH | {key: [[-1], [0], [0]] for key in ("durations", "accelerations")},
-                ],
-            }
-        },
+        {"message": {**FIELDS, "agreed": [0, PATH | BACKWARDS]}},
     ],
 )
 def test_garbage_is_refused(change):

@@ -1,20 +1,17 @@
 """The monitor beside flights of the twin whose faults are known."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
-from airpuck.control.reference import SetPoints
+from airpuck import Recording, SetPoints, TwinSettings
 from airpuck.deviation.significance import ModelError
 from airpuck.evaluation.evaluate import evaluate
 from airpuck.flight.health import Health, HealthMonitor, Judged, deviations
 from airpuck.model.model_file import published_model
 from airpuck.preprocessing.pipeline import preprocess
-from airpuck.recording.stream import Recording
 from airpuck.twin.experiments import track
 from airpuck.twin.plant import build_plant
-from airpuck.twin.settings import Motors, TwinSettings, Weakness, default_twin_settings
+from airpuck.twin.settings import Motors, Weakness, default_twin_settings
 
 from ..apparatus.models import scaled
 

@@ -19,6 +19,8 @@ from airpuck.twin.experiments import track
 from airpuck.twin.settings import default_twin_settings
 from airpuck.twin.twin import Twin
 
+from ..apparatus.changes import changed
+
 IDLE = np.full(6, 0.03)
 
 
@@ -211,10 +213,8 @@ class Used(TrackingController):
 
 @pytest.mark.slow
 def test_sensors_of_different_latencies_fly_together():
-    settings = default_twin_settings()
-    capture = settings.motion_capture.model_copy(update={"latency_s": 0.02})
-    board = settings.on_board.model_copy(update={"latency_s": 0.01})
-    settings = settings.model_copy(update={"motion_capture": capture, "on_board": board})
+    late, less = {"latency_s": 0.02}, {"latency_s": 0.01}
+    settings = changed(default_twin_settings(), motion_capture=late, on_board=less)
     model = read_model("paper:M4")
     pilot = Used(model, SetPoints([0.0, 0.5], [(0, 0, 0), (0.3, 0.2, 1.0)]))
     twin = Twin(model, settings)
@@ -226,9 +226,7 @@ def test_sensors_of_different_latencies_fly_together():
 
 @pytest.mark.slow
 def test_without_poses_sensors_on_board_keep_nothing_in_flight():
-    settings = default_twin_settings()
-    capture = settings.motion_capture.model_copy(update={"gaps_s": ((1.0, 2.0),)})
-    settings = settings.model_copy(update={"motion_capture": capture})
+    settings = changed(default_twin_settings(), motion_capture={"gaps_s": ((1.0, 2.0),)})
     model = read_model("paper:M4")
     pilot = TrackingController(model, SetPoint(0.1, 0.0, 0.0))
     log = fly(pilot, Twin(model, settings), 2.5, on_board=True)

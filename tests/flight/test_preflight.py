@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from airpuck.boundary.errors import InputError
+from airpuck import InputError, Twin, TwinSettings
 from airpuck.flight.loop import fly
 from airpuck.flight.preflight import (
     Preflight,
@@ -27,8 +27,7 @@ from airpuck.live.safety import Guard, GuardedPilot
 from airpuck.model.model_file import nominal_model, published_model
 from airpuck.physics.rigid_body import acceleration_map
 from airpuck.twin.plant import build_plant
-from airpuck.twin.settings import MotionCapture, Radio, TwinSettings
-from airpuck.twin.twin import Twin
+from airpuck.twin.settings import MotionCapture, Radio
 
 from ..apparatus.models import four_propellers, scaled
 
@@ -154,49 +153,28 @@ def test_the_delay_is_that_of_motors_that_do_something():
     assert words(found, "transport delay").startswith(f"{1e3 * found.delay:.0f} ms")
 
 
-def test_a_propeller_that_spins_the_wrong_way_is_named(flown):
-    # As seen from the other side: the model's propeller points the other way.
-    found = judge_pulses(scaled(MODEL, [1, 1, 1, -1.2, 1, 1]), *flown)
-    assert wrong(found) == [NAMES[3]]
-    assert "pushes the other way" in words(found, NAMES[3])
-
-
-def test_all_motors_the_wrong_way_are_one_cause(flown):
-    found = judge_pulses(scaled(MODEL, -1.0), *flown)
-    assert wrong(found) == ["pose frame"]
-    assert "all motors push the other way" in words(found, "pose frame")
-
-
-FRAMES = {
-    "yaw has the wrong sign": lambda p: p * [1, 1, -1],
-    "axis of the position has the wrong sign": lambda p: p * [1, -1, 1],
-    "seen from below": lambda p: p * [1, -1, -1],
-    "x and y are exchanged": lambda p: p[:, [1, 0, 2]],
-    "turned by -90 degrees": lambda p: np.add(p, [0, 0, np.pi / 2]),
-}
-
-
-@pytest.mark.parametrize("said", FRAMES)
-def test_a_wrong_frame_is_one_cause_not_six(flown, said):
-    time, pose, *commands = flown
-    found = judge_pulses(MODEL, time, FRAMES[said](pose), *commands)
-    assert wrong(found) == ["pose frame"]
-    assert said in words(found, "pose frame")
-
-
 @pytest.mark.parametrize(
-    ("unit", "factors"),
+    ("scale", "pose", "name", "says"),
     [
-        ("degrees", [1, 1, 180 / np.pi]),
-        ("centimetres", [100, 100, 1]),
-        ("millimetres", [1000, 1000, 1]),
+        # As seen from the other side: the model's propeller points the other way.
+        ([1, 1, 1, -1.2, 1, 1], same, NAMES[3], "pushes the other way"),
+        (-1.0, same, "pose frame", "all motors push the other way"),
+        (1.0, lambda p: p * [1, 1, -1], "pose frame", "yaw has the wrong sign"),
+        (1.0, lambda p: p * [1, -1, 1], "pose frame", "axis of the position has the wrong sign"),
+        (1.0, lambda p: p * [1, -1, -1], "pose frame", "seen from below"),
+        (1.0, lambda p: p[:, [1, 0, 2]], "pose frame", "x and y are exchanged"),
+        (1.0, lambda p: np.add(p, [0, 0, np.pi / 2]), "pose frame", "turned by -90 degrees"),
+        (1.0, lambda p: p * [1, 1, 180 / np.pi], "units", "in degrees"),
+        (1.0, lambda p: p * [100, 100, 1], "units", "in centimetres"),
+        (1.0, lambda p: p * [1000, 1000, 1], "units", "in millimetres"),
     ],
+    ids=lambda value: value if isinstance(value, str) else "",
 )
-def test_units_are_said(flown, unit, factors):
-    time, pose, *commands = flown
-    found = judge_pulses(MODEL, time, pose * factors, *commands)
-    assert f"in {unit}" in words(found, "units")
-    assert wrong(found) == ["units"]
+def test_what_is_wrong_is_one_cause_not_six(flown, scale, pose, name, says):
+    time, poses, *commands = flown
+    found = judge_pulses(scaled(MODEL, scale), time, pose(poses), *commands)
+    assert wrong(found) == [name]
+    assert says in words(found, name)
 
 
 @pytest.mark.slow

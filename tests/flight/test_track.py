@@ -5,11 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airpuck.boundary.errors import InputError
-from airpuck.control.reference import SetPoints
+from airpuck import InputError, Recording, SetPoints, Stream
 from airpuck.craft.vehicle import default_vehicle
 from airpuck.flight.track import TOLERANCE, Track
-from airpuck.recording.stream import COLUMNS, Recording, Stream
+from airpuck.recording.stream import COLUMNS
 
 VEHICLE = default_vehicle()
 MOTORS = VEHICLE.propeller_names

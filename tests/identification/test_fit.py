@@ -53,6 +53,37 @@ def test_motors_slower_than_the_vehicle_file_says_are_watched_for_longer():
 
 
 @pytest.mark.slow
+def test_a_richer_model_starts_at_the_simpler_ones_optimum_without_its_faults():
+    flight, steps = fly(published_model("M3"), duration=12.0), []
+    lost = slice(1200, 1320)
+    flight.input[lost] = np.roll(flight.input[lost], 1, axis=1)
+    simple = module.solved(flight, "M3")
+    assert simple.exclusion is not None
+    (faults,) = simple.exclusion.faults
+    assert faults[0].start == pytest.approx(flight.time[1200], abs=0.1)
+    richer = module.solved(flight, "M3+drag", after=simple, progress=steps.append)
+    # Drag begins at zero.
+    assert steps[0].loss == pytest.approx(simple.result[1].loss, rel=1e-6)
+    fresh = module.solved(flight, "M3+drag").result[1].parameters.to_vector()
+    found = richer.result[1].parameters.to_vector()
+    np.testing.assert_allclose(found, fresh, rtol=2e-3, atol=2e-4)
+
+
+@pytest.mark.slow
+def test_a_richer_model_starts_with_a_lag_that_a_step_makes_nominal_and_curves_as_they_are():
+    flight = fly(published_model("M3"), duration=3.0)
+    simple = module.solved(flight, "M3")
+    loss, outcome, _ = simple.result
+    fast = replace(outcome.parameters, motor_time_constant=1e-6)
+    simple = replace(simple, fitted=(loss, replace(outcome, parameters=fast)))
+    start = simple.enriched(Problem.of(flight, named_rung("M3", degree=4))).problem.start
+    assert start.motor_time_constant == pytest.approx(
+        default_vehicle().nominal.motor_time_constant_s / 3
+    )
+    np.testing.assert_array_equal(start.thrust, np.pad(fast.thrust, [(0, 0), (0, 1)]))
+
+
+@pytest.mark.slow
 def test_two_recordings_at_once():
     truth = with_offset_center(published_model("M3"))
     flights = [fly(truth, duration=6.0, seed=seed) for seed in (1, 2)]

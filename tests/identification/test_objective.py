@@ -75,6 +75,8 @@ def plain_jacobian(parameters, windows, encoder, frame):
         pytest.param(ALL_TERMS, "body", marks=pytest.mark.slow),
         # M4's own columns, and terms that take a thrust in newtons.
         pytest.param("M4+inflow+pair+sag", "body", marks=pytest.mark.slow),
+        # An inertia that depends on the motion, beside columns that are learned.
+        pytest.param("M4+hull", "body", marks=pytest.mark.slow),
     ],
 )
 def test_equals_the_plain_jacobian(windows, name, frame):
@@ -192,3 +194,27 @@ def test_an_effect_that_cannot_be_differentiated_costs_its_user_one_line(windows
     loss = PredictionLoss(windows, VEHICLE, PaperEncoder(), WEIGHTS)
     with pytest.raises(InputError, match=r"PlainNumpy: model: cannot be differentiated: use xp"):
         loss.quadratic(parameters)
+
+
+@dataclass(frozen=True, eq=False)
+class PowerDrag(Effect):
+    """Drag by a power of the speed along an axis of the body: both are settings."""
+
+    power: int = 3
+    rate: float = 1
+    axis: str = "forward"
+
+    def acceleration(self, xp, motion):
+        return -self.rate * getattr(motion, self.axis) ** self.power, 0.0, 0.0
+
+
+def test_whole_numbers_and_texts_of_an_effect_are_settings_that_no_fit_changes(windows):
+    rung = named_rung("M3").with_effect(PowerDrag)
+    parameters, encoder = rung.initial(VEHICLE), PaperEncoder()
+    assert parameters.power_drag.tolist() == [1.0]
+    result = PredictionLoss(windows, VEHICLE, encoder, WEIGHTS).quadratic(parameters)
+    residual = residuals(parameters, windows, encoder).ravel()
+    jacobian = plain_jacobian(parameters, windows, encoder, "body")
+    expected = 2 * jacobian.T @ residual / len(residual)
+    np.testing.assert_allclose(result.gradient, expected, rtol=1e-9, atol=1e-12)
+    assert expected[parameters.mask(frozenset({"power_drag"}))] != 0

@@ -1,7 +1,5 @@
 """The flight loop on the graph, in this process; `test_processes` has it as a process."""
 
-from __future__ import annotations
-
 import os
 import signal
 from contextlib import nullcontext
@@ -9,10 +7,9 @@ from contextlib import nullcontext
 import numpy as np
 import pytest
 
-from airpuck.control.law import Pilot as AnyPilot
-from airpuck.control.law import Prediction, Step
-from airpuck.control.reference import SetPoint
-from airpuck.control.tracking import TrackingController
+from airpuck import Pilot as AnyPilot
+from airpuck import SafetyLimits, SetPoint, Step, TrackingController
+from airpuck.control.law import Prediction
 from airpuck.control.tuning import default_tuning
 from airpuck.craft.vehicle import default_vehicle
 from airpuck.estimate.estimator import ActuationEstimate, Estimate
@@ -21,7 +18,6 @@ from airpuck.flight.pulses import PulseTest
 from airpuck.live import fly
 from airpuck.live.graph import SENSOR, Graph
 from airpuck.live.process import PLANS
-from airpuck.live.safety import SafetyLimits
 from airpuck.live.settings import LiveSettings
 from airpuck.model.model_file import published_model
 

@@ -1,7 +1,5 @@
 """Recordings and the layout for Foxglove: every path in it is a field of what we record."""
 
-from __future__ import annotations
-
 import json
 from operator import attrgetter
 from pathlib import Path

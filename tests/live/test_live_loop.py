@@ -6,8 +6,6 @@ machine the loop must keep its rate, have a typical latency below a period, and 
 past messages. Showing the latter takes half a minute, which is itself a study.
 """
 
-from __future__ import annotations
-
 import pytest
 
 from ..apparatus.studies import STUDIES, study

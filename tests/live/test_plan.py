@@ -1,7 +1,5 @@
 """The plan ahead on the graph: a standard path that others decode, and what limits it."""
 
-from __future__ import annotations
-
 import math
 import time
 

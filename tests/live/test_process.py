@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import os
 import signal
 import time
@@ -33,9 +31,15 @@ def clock(monkeypatch):
     return Clock
 
 
-def test_what_toggles_is_counted_and_the_last_is_told_last(clock):
+@pytest.fixture
+def told():
+    """A graph, and a log of events on it."""
     graph = GraphInMemory()
-    log = EventLog(graph, "fly", quiet=True)
+    return graph, EventLog(graph, "fly", quiet=True)
+
+
+def test_what_toggles_is_counted_and_the_last_is_told_last(clock, told):
+    graph, log = told
     for k in range(50):
         clock.now += 0.01
         log.log("info", "flying") if k % 2 else log.log("error", "motors idle: no pose")
@@ -47,9 +51,8 @@ def test_what_toggles_is_counted_and_the_last_is_told_last(clock):
     assert len(graph.events) == 4
 
 
-def test_one_repetition_is_told_in_its_own_words_and_after_a_second_at_once(clock):
-    graph = GraphInMemory()
-    log = EventLog(graph, "fly", quiet=True)
+def test_one_repetition_is_told_in_its_own_words_and_after_a_second_at_once(clock, told):
+    graph, log = told
     log.log("info", "flying")
     log.log("info", "flying")
     log.flush()
@@ -59,9 +62,8 @@ def test_one_repetition_is_told_in_its_own_words_and_after_a_second_at_once(cloc
     assert graph.events == ["flying"] * 3
 
 
-def test_numbers_make_no_other_event_but_other_kinds_do(clock):
-    graph = GraphInMemory()
-    log = EventLog(graph, "fly", quiet=True)
+def test_numbers_make_no_other_event_but_other_kinds_do(clock, told):
+    graph, log = told
     log.log("error", "pose jumped by 0.21 m and 0.00 rad")
     log.log("error", "pose jumped by 1.5 m and 12 rad")
     log.log("warning", "no message 1", kind="1")
@@ -74,9 +76,8 @@ def test_numbers_make_no_other_event_but_other_kinds_do(clock):
     ]
 
 
-def test_no_cause_is_told_more_than_twice_a_second_however_long_it_goes_on(clock):
-    graph = GraphInMemory()
-    log = EventLog(graph, "fly", quiet=True)
+def test_no_cause_is_told_more_than_twice_a_second_however_long_it_goes_on(clock, told):
+    graph, log = told
     for k in range(1000):
         clock.now += 0.01
         log.log("error", "motors idle: no pose")
@@ -87,9 +88,9 @@ def test_no_cause_is_told_more_than_twice_a_second_however_long_it_goes_on(clock
     assert log.counts["error"] == 1000
 
 
-def test_a_heartbeat_has_a_name_a_state_and_figures():
-    graph = GraphInMemory()
-    EventLog(graph, "fly", quiet=True).heartbeat("info", "exact", {"poses": 12})
+def test_a_heartbeat_has_a_name_a_state_and_figures(told):
+    graph, log = told
+    log.heartbeat("info", "exact", {"poses": 12})
     assert graph.states == [("fly", "exact", {"poses": "12"})]
 
 

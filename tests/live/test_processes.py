@@ -4,8 +4,6 @@ Thresholds leave room for a machine that is busy with other tests; `studies/live
 strict ones.
 """
 
-from __future__ import annotations
-
 import json
 import signal
 import time
@@ -15,16 +13,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airpuck import identify, plan, preprocess, read_recording
+from airpuck import Limits, Recording, Stream, identify, plan, preprocess, read_recording
 from airpuck.flight.track import Track
 from airpuck.live.graph import SENSOR, STATE, Graph
 from airpuck.model.model_file import published_model
-from airpuck.planning.settings import Limits
 from airpuck.recording.message import MessageCodec, StreamCodec, definitions
-from airpuck.recording.stream import Recording, Stream
 from airpuck.twin.experiments import track
 from airpuck.twin.settings import default_twin_settings
 
+from ..apparatus.changes import changed
 from ..apparatus.processes import CODECS, COMMANDS, EVENT, IDLE, POSES, REFERENCES, Process, Watch
 from ..apparatus.recovery import assert_recovered
 
@@ -368,11 +365,9 @@ def test_a_killed_twin_idles_the_motors_and_a_bad_radio_does_not_stop_the_next(t
     watch.forget()
     table.twin.kill()
     watch.until(lambda: watch.said("motors idle: no pose for 50 ms"))
-    settings = default_twin_settings()
     outages = tuple((float(t), float(t) + 0.1) for t in range(1, 60))
-    radio = settings.radio.model_copy(update={"loss": 0.3, "outages_s": outages})
-    capture = settings.motion_capture.model_copy(update={"dropped": 0.3})
-    bad = settings.model_copy(update={"radio": radio, "motion_capture": capture})
+    radio = {"loss": 0.3, "outages_s": outages}
+    bad = changed(default_twin_settings(), radio=radio, motion_capture={"dropped": 0.3})
     bad.save(tmp_path / "bad.toml")
     watch.forget()
     table.twin = Process("twin", "--twin", tmp_path / "bad.toml", domain=table.domain)

@@ -1,7 +1,5 @@
 """The guard, without a network: what idles the motors and for how long, and what does not."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -9,10 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from airpuck.control.law import Pilot, Step
-from airpuck.craft.table import Table
-from airpuck.data.measurement import Measurement
-from airpuck.live.safety import Guard, GuardedPilot, SafetyLimits, half_of
+from airpuck import Measurement, Pilot, SafetyLimits, Step, Table
+from airpuck.live.safety import Guard, GuardedPilot, half_of
 
 FRAME = 1 / 240
 LIMITS = SafetyLimits(geofence=(1.0, 0.5))

@@ -1,7 +1,5 @@
 """The twin's process, on a graph in memory; `test_processes` has it as a process."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Watching a craft on the graph: a flight of a known craft, on a graph in memory."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -8,10 +8,9 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
-from airpuck import Effect, Pilot
-from airpuck.boundary.errors import InputError
+from airpuck import Effect, InputError, Model, Pilot
 from airpuck.craft.vehicle import default_vehicle
-from airpuck.model.model_file import Model, read_model
+from airpuck.model.model_file import read_model
 from airpuck.model.parameters import change_degree, nominal_parameters
 from airpuck.model.rungs import RUNGS, named_rung
 from airpuck.model.uncertainty import Uncertainty

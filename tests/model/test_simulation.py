@@ -11,13 +11,13 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import airpuck
-from airpuck.boundary.errors import InputError
 from airpuck.craft.vehicle import default_vehicle
 from airpuck.model.model_file import published_model
 from airpuck.model.simulation import linearize, trim
 from airpuck.physics.rigid_body import acceleration, derivative, rollout
 
 from ..apparatus.beliefs import believed
+from ..apparatus.refusals import rejected
 
 M3, NAN = published_model("M3"), np.nan
 EFFECTS = replace(
@@ -143,9 +143,8 @@ def test_motors_left_out_begin_at_the_first_command():
     ],
 )
 def test_wrong_shapes_are_refused(call, field):
-    with pytest.raises(InputError) as refused:
+    with rejected(field=field):
         call()
-    assert refused.value.field == field
 
 
 def simulated(period):
@@ -162,9 +161,8 @@ def simulated(period):
     ],
 )
 def test_a_number_out_of_range_is_refused(field, value, used):
-    with pytest.raises(InputError) as caught:
+    with rejected(field=field):
         (used or M3.to_statespace)(**{field: value})
-    assert caught.value.field == field
 
 
 def uncertain(errors: dict[int, float]) -> airpuck.Model:

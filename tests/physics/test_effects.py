@@ -52,15 +52,21 @@ def named(name):
     return VEHICLE.propeller_names.index(name)
 
 
-def test_linear_drag_by_hand():
-    found = accelerate((Drag(linear=0.5, spin_linear=0.2),), [0.0, 2.0, -1.0, 3.0])
-    np.testing.assert_allclose(found, [-1.0, 0.5, -0.6], atol=1e-12)
-
-
-def test_quadratic_drag_by_hand():
-    # |v| = 5: 0.1·5·(3, -4); spin 0.05·4².
-    found = accelerate((Drag(quadratic=0.1, spin_quadratic=0.05),), [0.0, 3.0, -4.0, -4.0])
-    np.testing.assert_allclose(found, [-1.5, 2.0, 0.8], rtol=1e-9)
+@pytest.mark.parametrize(
+    ("drag", "offset", "moving", "expected"),
+    [
+        (Drag(linear=0.5, spin_linear=0.2), 0.0, [2.0, -1.0, 3.0], [-1.0, 0.5, -0.6]),
+        # |v| = 5: 0.1·5·(3, -4); spin 0.05·4².
+        (Drag(quadratic=0.1, spin_quadratic=0.05), 0.0, [3.0, -4.0, -4.0], [-1.5, 2.0, 0.8]),
+        # Only the spin is braked: the geometric centre then accelerates by r × ω'.
+        (Drag(spin_linear=2.0), 0.01, [0.0, 0.0, 3.0], [0.01 * 9, 0.01 * 6, -6]),
+    ],
+    ids=["linear", "quadratic", "about the centre of mass"],
+)
+def test_drag_by_hand(drag, offset, moving, expected):
+    base = replace(BASE, center_of_mass=np.array([offset, 0.0]))
+    found = accelerate((drag,), [0.0, *moving], base=base)
+    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12)
 
 
 @given(motions)
@@ -77,13 +83,6 @@ def test_spin_drag_does_not_push_and_drag_does_not_turn():
     np.testing.assert_array_equal(
         accelerate((Drag(spin_linear=1.0, spin_quadratic=1.0),), [1.0, 2.0, 1.0, 9.0])[:2], 0
     )
-
-
-def test_drag_acts_on_the_center_of_mass():
-    # Only the spin is braked: the geometric centre then accelerates by r × ω'.
-    base = replace(BASE, center_of_mass=np.array([0.01, 0.0]))
-    found = accelerate((Drag(spin_linear=2.0),), [0.0, 0.0, 0.0, 3.0], base=base)
-    np.testing.assert_allclose(found, [0.01 * 9, 0.01 * 6, -6], atol=1e-12)
 
 
 @given(yaws)

@@ -30,15 +30,19 @@ def test_two_half_steps_equal_one_step(speed, command, first, second, tau):
     )
 
 
-@given(st.integers(0, 2**32 - 1), st.integers(1, 300), st.sampled_from([0.0, 1e-4, 0.03, 5.0]))
-def test_filtering_all_samples_at_once_equals_stepping(seed, count, tau):
+@given(
+    st.integers(0, 2**32 - 1), st.integers(1, 300), st.sampled_from([0.0, 1e-4, 0.03, 5.0]),
+    st.sampled_from([0.0, 2.0]),
+)  # fmt: skip
+def test_filtering_all_samples_at_once_equals_stepping(seed, count, tau, idle_lag):
     rng = np.random.default_rng(seed)
     time, command = np.cumsum(rng.uniform(1e-3, 9e-3, count)), rng.random((count, 2))
     expected = command[:1]
     for k, duration in enumerate(np.diff(time)):
-        last = motor_step(np, expected[-1], command[k], duration, tau)
+        last = motor_step(np, expected[-1], command[k], duration, tau, idle_lag)
         expected = np.concatenate([expected, last[None]])
-    np.testing.assert_allclose(motor_speeds(time, command, tau), expected, atol=1e-13)
+    found = motor_speeds(time, command, tau, idle_lag)
+    np.testing.assert_allclose(found, expected, atol=1e-8 if idle_lag else 1e-13)
 
 
 def idle_motor(speed, command, duration, tau, longer):
@@ -66,17 +70,6 @@ def test_a_motor_with_idle_lag_follows_its_differential_equation(speed, command)
 
 def test_no_idle_lag_changes_nothing():
     assert motor_step(np, 0.2, 0.7, 0.01, 0.03, 0.0) == motor_step(np, 0.2, 0.7, 0.01, 0.03)
-
-
-def test_all_samples_with_idle_lag_are_one_after_another():
-    rng = np.random.default_rng(0)
-    time = np.cumsum(rng.uniform(1e-3, 9e-3, 400))
-    command = np.repeat(rng.choice([0.03, 0.3, 1.0], (40, 2)), 10, axis=0)
-    expected = command[:1]
-    for k, duration in enumerate(np.diff(time)):
-        last = motor_step(np, expected[-1], command[k], duration, 0.03, 2.0)
-        expected = np.concatenate([expected, last[None]])
-    np.testing.assert_allclose(motor_speeds(time, command, 0.03, 2.0), expected, atol=1e-8)
 
 
 def test_no_lag_follows_at_once():

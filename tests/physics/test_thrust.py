@@ -5,14 +5,8 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from airpuck.boundary.errors import InputError
-from airpuck.physics.thrust import (
-    InverseThrust,
-    is_monotone,
-    lowest_slope,
-    thrust,
-    thrust_slope,
-)
+from airpuck import InputError, InverseThrust
+from airpuck.physics.thrust import is_monotone, lowest_slope, thrust, thrust_slope
 
 coefficient = st.floats(-2, 2).map(lambda x: round(x, 3))
 cubic = st.tuples(coefficient, coefficient, coefficient).map(lambda abc: np.array([abc]))

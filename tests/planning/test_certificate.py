@@ -8,13 +8,12 @@ from scipy.optimize import linprog
 from studies.bounds import affected, case, missing_at, sharp
 
 import airpuck
-from airpuck.craft.table import Table
-from airpuck.physics.effects import Drag, Effect, Tilt
+from airpuck import Effect, Goal, Limits, Table
+from airpuck.physics.effects import Drag, Tilt
 from airpuck.planning import plan as planning
 from airpuck.planning.certificate import lower_bound, lower_bound_through, unavoidable_rail
-from airpuck.planning.request import Goal, Request, checked_request, motor_range
+from airpuck.planning.request import Request, checked_request, motor_range
 from airpuck.planning.search import search
-from airpuck.planning.settings import Limits
 from airpuck.planning.yaw_program import Fineness, Weight, YawProgram, frontier
 
 from ..apparatus.one_axis_craft import ACCELERATION, one_axis

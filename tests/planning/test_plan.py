@@ -8,16 +8,14 @@ import numpy as np
 import pytest
 
 import airpuck
-from airpuck.boundary.errors import InputError
+from airpuck import Goal, InputError, Limits, Plan, Table, Vehicle
 from airpuck.control.reference import Reference
-from airpuck.craft.table import Table
-from airpuck.craft.vehicle import GRAVITY, Nominal, Propeller, Vehicle
+from airpuck.craft.vehicle import GRAVITY, Nominal, Propeller
 from airpuck.model.model_file import nominal_model
 from airpuck.planning import transcription
-from airpuck.planning.plan import Plan, read_plan
-from airpuck.planning.request import Goal, checked_request
+from airpuck.planning.plan import read_plan
+from airpuck.planning.request import checked_request
 from airpuck.planning.search import search
-from airpuck.planning.settings import Limits
 
 from ..apparatus.one_axis_craft import ACCELERATION, at_rest, one_axis, ring
 

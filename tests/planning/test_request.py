@@ -4,10 +4,8 @@ import numpy as np
 import pytest
 
 import airpuck
-from airpuck.boundary.errors import InputError
-from airpuck.craft.table import Table
-from airpuck.planning.request import Goal, checked_request
-from airpuck.planning.settings import Limits
+from airpuck import Goal, InputError, Limits, Table
+from airpuck.planning.request import checked_request
 
 M3 = airpuck.read_model("paper:M3")
 REST = (0.0, 0.0, 0.0)

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 import airpuck
-from airpuck.craft.table import Table
-from airpuck.planning.request import Goal, checked_request
+from airpuck import Goal, Limits, Table
+from airpuck.planning.request import checked_request
 from airpuck.planning.search import COARSE, further_starts, guess, refined, starts
-from airpuck.planning.settings import Limits
 
 M3 = airpuck.read_model("paper:M3")
 

@@ -5,15 +5,13 @@ import pytest
 from scipy.optimize import lsq_linear
 
 import airpuck
+from airpuck import Limits, Table, Twin
 from airpuck.control.law import Moment
 from airpuck.control.tuning import default_tuning
-from airpuck.craft.table import Table
 from airpuck.estimate.estimator import Estimate
 from airpuck.flight.loop import check_pilot, fly
-from airpuck.planning.settings import Limits
 from airpuck.planning.tracking import Departing, PlanTracker, least_correction, plan_tracker, rests
 from airpuck.twin.settings import default_twin_settings
-from airpuck.twin.twin import Twin
 
 M3 = airpuck.read_model("paper:M3")
 

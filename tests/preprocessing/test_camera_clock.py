@@ -5,10 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airpuck.boundary.errors import InputError
+from airpuck import InputError, PoseMapping, Recording, RecordingMapping, Stream
 from airpuck.preprocessing.camera_clock import at_exposure
-from airpuck.recording.mapping import PoseMapping, RecordingMapping
-from airpuck.recording.stream import COLUMNS, Recording, Stream
+from airpuck.recording.stream import COLUMNS
 
 
 def exposures(rate: float, share_lost: float = 0.0, seconds: float = 20.0) -> np.ndarray:

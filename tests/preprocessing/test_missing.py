@@ -6,19 +6,17 @@ import numpy as np
 import pytest
 from studies.adam import batch_loss
 
+from airpuck import Loss, Recording, Trajectory
 from airpuck.craft.vehicle import default_vehicle
-from airpuck.data.trajectory import Trajectory
 from airpuck.data.windows import make_windows
 from airpuck.evaluation.comparison import better_from
 from airpuck.evaluation.evaluate import evaluate
 from airpuck.evaluation.innovations import innovations
 from airpuck.identification.fit import identify
 from airpuck.identification.problem import prediction_loss
-from airpuck.identification.settings import Loss
 from airpuck.model.model_file import published_model
 from airpuck.preprocessing.pipeline import preprocess
 from airpuck.preprocessing.quality import interpolated, with_lost_frames
-from airpuck.recording.stream import Recording
 
 from ..apparatus.synthetic_flights import edited, fly, record
 

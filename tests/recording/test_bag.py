@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import io
 import itertools
 import shutil
@@ -41,6 +39,7 @@ from ..apparatus.bags import (
     write_channels,
     write_mcap,
 )
+from ..apparatus.refusals import rejected
 
 
 @pytest.fixture
@@ -158,11 +157,8 @@ def test_other_topics_by_name(tmp_path: Path, topics):
         {"/drone/control": "/craft/motors"}.get(name, name): topic for name, topic in topics.items()
     }
     path = write_mcap(tmp_path / "a.mcap", moved)
-    with pytest.raises(InputError) as caught:
+    with rejected(str(path), "/craft/motors", field="/drone/control"):
         read_recording(path)
-    assert str(path) in str(caught.value)
-    assert caught.value.field == "/drone/control"
-    assert "/craft/motors" in str(caught.value)
     assert_is_foreign(read_recording(path, topics=Topics(command="/craft/motors")), topics)
 
 
@@ -185,10 +181,22 @@ def test_a_wrong_type_names_file_topic_found_and_wanted(tmp_path: Path, topics, 
         assert part in message
 
 
-def test_a_command_must_be_numbers_only(tmp_path: Path, topics):
-    text = "std_msgs/Header header\nfloat64 motor_1\nint32 mode\n" + HEADER
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("garbage {{{", ""),
+        ("std_msgs/Header header\nfloat64 a", ""),
+        ("\0\0", ""),
+        (
+            "std_msgs/Header header\nfloat64 motor_1\nint32 mode\n" + HEADER,
+            "my_msgs/msg/Command, but a command is",
+        ),
+    ],
+    ids=["no definition", "a missing part", "zeros", "other than numbers"],
+)
+def test_a_definition_of_no_command_is_one_clear_line(tmp_path: Path, topics, text: str, says: str):
     topics["/drone/control"] = ("my_msgs/msg/Command", text, [])
-    with pytest.raises(InputError, match="my_msgs/msg/Command, but a command is"):
+    with rejected(says, field="/drone/control"):
         read_recording(write_mcap(tmp_path / "a.mcap", topics))
 
 
@@ -238,15 +246,6 @@ module builtin_interfaces {{ module msg {{ struct Time {{
     command = read_recording(folder)["command"]
     assert command.columns == ("left", "right")
     assert command.values.tolist() == [[0.25, 0.5]]
-
-
-@pytest.mark.parametrize("text", ["garbage {{{", "std_msgs/Header header\nfloat64 a", "\0\0"])
-def test_a_broken_definition_is_one_clear_line(tmp_path: Path, topics, text: str):
-    topics["/drone/control"] = ("my_msgs/msg/Command", text, [])
-    with pytest.raises(InputError) as caught:
-        read_recording(write_mcap(tmp_path / "a.mcap", topics))
-    assert caught.value.field == "/drone/control"
-    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(
@@ -302,25 +301,19 @@ def test_nothing_is_judged_sorted_or_left_out(tmp_path: Path, topics):
 
 
 @pytest.mark.parametrize(
-    "quaternion",
+    ("quaternion", "yaw"),
     [
-        (0, 0, np.inf, -np.inf),
-        (0, 0, 0, 0),
-        (0, 0.1, 0, np.inf),
-        (np.inf, 0, 0, 0),
-        (0, 0, np.nan, 1),
+        ((0, 0, np.inf, -np.inf), np.nan),
+        ((0, 0, 0, 0), np.nan),
+        ((0, 0.1, 0, np.inf), np.nan),
+        ((np.inf, 0, 0, 0), np.nan),
+        ((0, 0, np.nan, 1), np.nan),
+        ((0, 0, 3 * np.sin(0.6), 3 * np.cos(0.6)), 1.2),
     ],
 )
-def test_what_is_no_rotation_has_no_yaw(tmp_path: Path, topics, quaternion):
+def test_a_quaternion_of_any_length_but_zero_has_a_yaw(tmp_path: Path, topics, quaternion, yaw):
     pose = poses_of(tmp_path, topics, [stamped(0, "", (0, 0, 0, *quaternion))])
-    assert np.isnan(pose.values[0, 2])
-
-
-def test_a_quaternion_that_is_not_unit_still_has_its_direction(tmp_path: Path, topics):
-    pose = poses_of(
-        tmp_path, topics, [stamped(0, "", (0, 0, 0, 0, 0, 3 * np.sin(0.6), 3 * np.cos(0.6)))]
-    )
-    assert pose.values[0, 2] == pytest.approx(1.2, abs=1e-15)
+    assert pose.values[0, 2] == pytest.approx(yaw, abs=1e-15, nan_ok=True)
 
 
 def test_a_topic_without_messages_is_an_empty_stream(tmp_path: Path, topics):
@@ -335,9 +328,8 @@ def test_a_message_that_does_not_fit_its_type(tmp_path: Path, topics):
     messages = topics["/drone/control"][2]
     messages[7] = (messages[7][0], b"\x00\x01\x00\x00\x01\x00")
     path = write_mcap(tmp_path / "a.mcap", topics)
-    with pytest.raises(InputError, match="message 8 cannot be decoded") as caught:
+    with rejected(match="message 8 cannot be decoded", field="/drone/control"):
         read_recording(path)
-    assert caught.value.field == "/drone/control"
 
 
 def test_references_without_a_header_take_the_recorders_time(tmp_path: Path, topics):
@@ -372,10 +364,8 @@ def test_damaged_metadata_does_not_keep_a_whole_file_from_being_read(tmp_path: P
 def test_junk_under_a_bags_name(tmp_path: Path, name: str, content: bytes):
     (tmp_path / name).write_bytes(content)
     for path in (tmp_path / name, tmp_path):
-        with pytest.raises(InputError) as caught:
+        with rejected(name):
             read_recording(path)
-        assert name in str(caught.value)
-        assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(
@@ -399,9 +389,8 @@ def test_a_sqlite_file_with_the_wrong_content(tmp_path: Path, damage: str):
         database.execute("UPDATE sqlite_master SET sql = replace(sql, ' NOT NULL', '')")
     with sqlite3.connect(tmp_path / "bag" / "bag.db3") as database:
         database.execute(damage)
-    with pytest.raises(InputError) as caught:
+    with pytest.raises(InputError):
         read_recording(tmp_path / "bag")
-    assert str(caught.value).isprintable()
 
 
 def test_intervals_are_refused_for_a_bag_whose_messages_have_times(tmp_path):
@@ -587,6 +576,9 @@ def in_order(made: Recording) -> Recording:
 
 def test_what_is_written_is_read_back_equal(tmp_path: Path):
     made = flight()
+    # References with stamps of their own keep them.
+    reference = replace(made["reference"], stamp_ns=made["reference"].stamp_ns - 5)
+    made = Recording({**made.streams, "reference": reference}, made.source)
     write_bag(made, tmp_path / "bag")
     read = read_recording(tmp_path / "bag")
     assert_equal(read, made)
@@ -723,11 +715,31 @@ def test_any_craft(tmp_path: Path, motors: tuple[str, ...]):
     assert_equal(read_recording(tmp_path / "bag"), made)
 
 
-@pytest.mark.parametrize("motors", [("Left",), ("a b",), ("header",), ("a__b",), ("é",), ("",)])
-def test_names_that_ros_does_not_allow(tmp_path: Path, motors: tuple[str, ...]):
-    made = Recording({"command": stream(5, 100, motors, 8)}, "made up")
-    with pytest.raises(InputError, match="cannot be a field of a ROS message"):
-        write_bag(made, tmp_path / "bag")
+def stamped_at(field: str, stamp: int) -> Stream:
+    """Poses, one of which has another stamp."""
+    made = flight()["pose"]
+    stamps = getattr(made, field).copy()
+    stamps[5] = stamp
+    return replace(made, **{field: stamps})
+
+
+@pytest.mark.parametrize(
+    ("streams", "says"),
+    [
+        *(
+            ({"command": stream(5, 100, (name,), 8)}, "cannot be a field of a ROS message")
+            for name in ("Left", "a b", "header", "a__b", "é", "")
+        ),
+        *(
+            ({"pose": stamped_at(field, stamp)}, "time stamps that ROS cannot hold")
+            for field, stamp in (("stamp_ns", -1), ("stamp_ns", 2**31 * 10**9), ("received_ns", -1))
+        ),
+        ({"events": flight()["mouse"]}, "events: is not a stream that a bag can hold"),
+    ],
+)
+def test_what_a_bag_cannot_hold_is_refused_before_anything_is_written(tmp_path, streams, says):
+    with pytest.raises(InputError, match=says):
+        write_bag(Recording(streams, "made up"), tmp_path / "bag")
     assert list(tmp_path.iterdir()) == []
 
 
@@ -739,15 +751,6 @@ def test_other_topic_names(tmp_path: Path):
     assert_equal(read_recording(tmp_path / "bag", topics=topics), flight())
 
 
-def test_references_with_stamps_of_their_own_keep_them(tmp_path: Path):
-    made = flight()
-    given = made["reference"]
-    moved = Stream(given.stamp_ns - 5, given.received_ns, given.values, given.columns)
-    made = Recording({**made.streams, "reference": moved}, "made up")
-    write_bag(made, tmp_path / "bag")
-    assert_equal(read_recording(tmp_path / "bag"), made)
-
-
 def test_empty_streams(tmp_path: Path):
     made = flight()
     empty = Stream(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 6)), SIX)
@@ -757,24 +760,6 @@ def test_empty_streams(tmp_path: Path):
     nothing = Stream(empty.stamp_ns, empty.received_ns, np.zeros((0, 3)), ("x_m", "y_m", "yaw_rad"))
     write_bag(Recording({"pose": nothing, "command": empty}, ""), tmp_path / "none")
     assert read_recording(tmp_path / "none").streams["pose"] == nothing
-
-
-@pytest.mark.parametrize(
-    ("field", "stamp"), [("stamp_ns", -1), ("stamp_ns", 2**31 * 10**9), ("received_ns", -1)]
-)
-def test_stamps_that_ros_cannot_hold(tmp_path: Path, field: str, stamp: int):
-    made = flight()["pose"]
-    stamps = getattr(made, field).copy()
-    stamps[5] = stamp
-    pose = replace(made, **{field: stamps})
-    with pytest.raises(InputError, match="time stamps that ROS cannot hold"):
-        write_bag(Recording({"pose": pose}, "made up"), tmp_path / "bag")
-
-
-def test_an_unknown_stream(tmp_path: Path):
-    made = Recording({"events": flight()["mouse"]}, "made up")
-    with pytest.raises(InputError, match="events: is not a stream that a bag can hold"):
-        write_bag(made, tmp_path / "bag")
 
 
 @pytest.mark.parametrize("kind", ["folder", "file", "link"])

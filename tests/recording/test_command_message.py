@@ -1,24 +1,17 @@
-from __future__ import annotations
-
 import tomllib
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from airpuck.boundary.errors import InputError
+from airpuck import CommandMapping, InputError, PoseMapping, RecordingMapping
 from airpuck.craft.vehicle import default_vehicle
 from airpuck.preprocessing.pipeline import clean_streams
-from airpuck.recording.mapping import (
-    CommandMapping,
-    PoseMapping,
-    RecordingMapping,
-    Topics,
-    read_mapping,
-)
+from airpuck.recording.mapping import Topics, read_mapping
 from airpuck.recording.read import read_recording
 
 from ..apparatus.bags import START_NS, Topic, foreign_topics, ros_header, ros_topic, write_mcap
+from ..apparatus.refusals import rejected
 
 N = 30
 VALUES = np.random.default_rng(5).uniform(0, 1, (N, 4))
@@ -144,10 +137,8 @@ def test_pulse_widths_among_other_fields(tmp_path: Path):
     widths = np.round(1000 + 1000 * VALUES).astype(np.uint16)
     rows = [(3, np.concatenate([row, [0, 0]]).astype(np.uint16)) for row in widths]
     topic = own("uint8 rssi\nuint16[] channels\n", rows)
-    with pytest.raises(InputError) as caught:
+    with rejected("choose its fields", "rssi, channels"):
         read(tmp_path, topic)
-    assert "choose its fields" in str(caught.value)
-    assert "rssi, channels" in str(caught.value)
     chosen = CommandMapping(
         values=tuple(f"channels[{k}]" for k in range(4)),
         propellers=NAMES,
@@ -227,9 +218,8 @@ def test_joint_states_that_do_not_fit(tmp_path: Path, names, columns, says: str)
     ],
 )
 def test_mappings_that_do_not_fit(tmp_path: Path, keys, says: str):
-    with pytest.raises(InputError, match=says) as caught:
+    with pytest.raises(InputError, match=says):
         read(tmp_path, array("Float64"), command=CommandMapping(**keys))
-    assert "\n" not in str(caught.value)
 
 
 def test_not_a_number_is_logged_and_refused_later(tmp_path: Path):
@@ -319,8 +309,7 @@ def shortened(length: int):
 def test_a_damaged_message_is_named(tmp_path: Path, damage):
     msgtype, text, messages = array("Float64")
     messages[5] = (messages[5][0], damage(messages[5][1]))
-    with pytest.raises(InputError, match=r"/motors: message 6 (cannot be decoded|has)") as caught:
+    with pytest.raises(InputError, match=r"/motors: message 6 (cannot be decoded|has)"):
         read(tmp_path, (msgtype, text, messages))
-    assert "\n" not in str(caught.value)
     with pytest.raises(InputError, match="/motors: contains no message"):
         read(tmp_path, (msgtype, text, []))

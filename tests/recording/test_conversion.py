@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import json
 import re
 from itertools import permutations, product
@@ -8,9 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from airpuck.boundary.errors import InputError
+from airpuck import CommandMapping, InputError, PoseMapping
 from airpuck.recording.conversion import commands_of, poses_of, stamps_of
-from airpuck.recording.mapping import CommandMapping, PoseMapping
 
 #: All renamings of axes with their matrices.
 RENAMINGS = {}

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import re
 import tempfile
 from pathlib import Path
@@ -9,11 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from airpuck.boundary.errors import InputError
+from airpuck import InputError, Recording, Stream
 from airpuck.recording.bag import write_bag
 from airpuck.recording.mcap_file import read_mcap
 from airpuck.recording.read import read_recording
-from airpuck.recording.stream import Recording, Stream
 
 from ..apparatus.bags import START_NS, flight, foreign_topics, write_mcap
 from ..apparatus.examples import examples

@@ -1,18 +1,16 @@
-from __future__ import annotations
-
 import os
 import shutil
 from pathlib import Path
 
 import pytest
 
-from airpuck.boundary.errors import InputError
+from airpuck import InputError, Recording
 from airpuck.recording.bag import write_bag
 from airpuck.recording.csv_folder import write_csv
 from airpuck.recording.read import read_recording
-from airpuck.recording.stream import Recording
 
 from ..apparatus.bags import flight
+from ..apparatus.refusals import rejected
 
 
 @pytest.fixture
@@ -74,10 +72,8 @@ def test_what_is_no_recording(tmp_path: Path, name: str, says: str):
     for file in ("file.csv", "traj.npz", "data.pt", "notes.txt"):
         (tmp_path / file).write_text("1,2\n")
     os.mkfifo(tmp_path / "pipe")
-    with pytest.raises(InputError, match=says) as caught:
+    with rejected(tmp_path / name, match=says):
         read_recording(tmp_path / name)
-    assert caught.value.file == str(tmp_path / name)
-    assert "\n" not in str(caught.value)
 
 
 def test_hostile_names_stay_on_one_line(tmp_path: Path):
@@ -86,7 +82,5 @@ def test_hostile_names_stay_on_one_line(tmp_path: Path):
     path = write_mcap(
         tmp_path / "a.mcap", {f"/a\nb{i}": ("x\x1b[31m", "\n", []) for i in range(50)}
     )
-    with pytest.raises(InputError) as caught:
+    with rejected("38 more"):
         read_recording(path)
-    assert str(caught.value).isprintable()
-    assert "38 more" in str(caught.value)

@@ -1,7 +1,5 @@
 """ROS 1 bags, written by rosbags."""
 
-from __future__ import annotations
-
 import bz2
 import struct
 

@@ -1,11 +1,7 @@
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
-from airpuck.boundary.errors import InputError
-from airpuck.recording.mapping import CommandMapping, PoseMapping, RecordingMapping
-from airpuck.recording.stream import Recording
+from airpuck import CommandMapping, InputError, PoseMapping, Recording, RecordingMapping
 
 TIME = 0.01 * np.arange(20)
 POSES = np.column_stack([0.1 * TIME, -0.2 * TIME, 3 * TIME])

@@ -1,7 +1,5 @@
 """Topics on which several rigid bodies are published."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

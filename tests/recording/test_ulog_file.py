@@ -1,7 +1,5 @@
 """PX4 logs, written by their specification."""
 
-from __future__ import annotations
-
 import struct
 
 import numpy as np

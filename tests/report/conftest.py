@@ -1,7 +1,5 @@
 """Studies to draw: of two made-up craft, and the paper's."""
 
-from __future__ import annotations
-
 import pytest
 
 from airpuck.data.trajectory import Span

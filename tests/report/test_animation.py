@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from airpuck.boundary.errors import InputError
-from airpuck.craft.vehicle import Vehicle
+from airpuck import InputError, Recording, Vehicle
 from airpuck.recording.read import read_recording
-from airpuck.recording.stream import COLUMNS, Recording
+from airpuck.recording.stream import COLUMNS
 from airpuck.report.animation import Mover, animate, moving_drawing
 from airpuck.report.scene import TABLE
 
+from ..apparatus.changes import with_propellers
 from ..apparatus.drawn_flights import CRAFT, EPOCH, flight, stream, with_pose
 from ..apparatus.models import VEHICLES, four_propellers
 
@@ -130,13 +130,10 @@ def test_a_page_needs_nothing_from_outside_and_runs_nothing_foreign(tmp_path):
     assert "url(" not in text.replace("url(#fade)", "")
     assert text.count("<script") == 2
     assert "<img" not in text
-    names = tuple(f"</script>{i}" for i in range(6))
-    propellers = tuple(
-        p.model_copy(update={"name": n}) for p, n in zip(CRAFT.propellers, names, strict=True)
-    )
-    craft = CRAFT.model_copy(update={"propellers": propellers, "pairs": ()})
+    craft = with_propellers(CRAFT, lambda k, _: {"name": f"</script>{k}"})
+    craft = craft.model_copy(update={"pairs": ()})
     page = animate(flight(craft), tmp_path / "b.html", vehicle=craft)
-    assert page_data(page)["craft"]["names"] == list(names)
+    assert page_data(page)["craft"]["names"] == list(craft.propeller_names)
 
 
 @pytest.mark.skipif(shutil.which("node") is None, reason="needs Node.js")
@@ -169,38 +166,23 @@ def test_the_same_flight_gives_the_same_bytes(tmp_path):
         assert files[0] == files[1]
 
 
-@pytest.mark.parametrize("name", ["a.mp4", "a", "a.png", ".gif"])
-def test_unknown_suffixes_are_refused(tmp_path, name):
-    with pytest.raises(InputError, match=r"neither \.gif nor \.html"):
-        animate(flight(), tmp_path / name)
-    assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize("suffix", [".gif", ".html"])
-@pytest.mark.parametrize(
-    "span", [(0.5, 0.5), (0.6, 0.4), (-0.1, 1.0), (0.0, 1.1), (np.nan, 1.0), (0.5, 0.5001)]
-)
-def test_empty_spans_are_refused(tmp_path, suffix, span):
-    with pytest.raises(InputError, match="span"):
-        animate(flight(), tmp_path / f"a{suffix}", span=span)
+EMPTY = [(0.5, 0.5), (0.6, 0.4), (-0.1, 1.0), (0.0, 1.1), (np.nan, 1.0), (0.5, 0.5001)]
 
 
 @pytest.mark.parametrize(
-    "settings",
+    ("name", "settings", "says"),
     [
-        {"speed": 0.0},
-        {"speed": -1.0},
-        {"speed": np.nan},
-        {"frames_per_second": 0.0},
-        {"frames_per_second": np.inf},
-        {"frames_per_second": 60.0},
-        {"table": (0.0, 1.0)},
-        {"speed": 1e-6},
+        *((name, {}, r"neither \.gif nor \.html") for name in ("a.mp4", "a", "a.png", ".gif")),
+        *((name, {"span": span}, "span") for span in EMPTY for name in ("a.gif", "a.html")),
+        *(("a.gif", {"speed": speed}, None) for speed in (0.0, -1.0, np.nan, 1e-6)),
+        *(("a.gif", {"frames_per_second": rate}, None) for rate in (0.0, np.inf, 60.0)),
+        ("a.gif", {"table": (0.0, 1.0)}, None),
     ],
 )
-def test_numbers_out_of_range_are_refused(tmp_path, settings):
-    with pytest.raises(InputError):
-        animate(flight(), tmp_path / "a.gif", **settings)
+def test_what_gives_no_animation_is_refused(tmp_path, name, settings, says):
+    with pytest.raises(InputError, match=says):
+        animate(flight(), tmp_path / name, **settings)
+    assert not list(tmp_path.iterdir())
 
 
 def broken() -> dict[str, Recording]:

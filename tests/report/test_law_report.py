@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 from matplotlib.colors import to_hex
 
+from airpuck import FlightLog, Table
 from airpuck.control.law import Prediction
-from airpuck.craft.table import Table
-from airpuck.flight.loop import FlightLog
 from airpuck.flight.track import Track
 from airpuck.report import style
 from airpuck.report.animation import animate

@@ -6,8 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airpuck.boundary.errors import InputError
-from airpuck.craft.table import Table
+from airpuck import InputError, Table
 from airpuck.deviation.packet_delays import PacketDelays
 from airpuck.faults.strengths import find_strengths
 from airpuck.model.uncertainty import DelayJitter

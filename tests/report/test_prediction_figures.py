@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from matplotlib.collections import LineCollection, PolyCollection
 
-from airpuck.data.trajectory import Span
+from airpuck import PredictionBands, Span
 from airpuck.evaluation.evaluate import evaluate
-from airpuck.evaluation.prediction_bands import PredictionBands
 from airpuck.model.model_file import published_model
 from airpuck.report.evaluation_report import fault_report
 from airpuck.report.prediction_figures import (

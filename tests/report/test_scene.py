@@ -5,9 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airpuck.craft.table import AirHockey
-from airpuck.craft.vehicle import Vehicle
-from airpuck.recording.stream import Recording, Stream
+from airpuck import AirHockey, Recording, Stream, Vehicle
 from airpuck.report.animation import animate
 from airpuck.report.scene import (
     arrow_shapes,

@@ -6,12 +6,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from airpuck.boundary.errors import InputError
-from airpuck.craft.table import Table
+from airpuck import InputError, Table, Twin, TwinBatch, TwinSettings
 from airpuck.identification.fit import identify
 from airpuck.model.model_file import published_model
 from airpuck.preprocessing.pipeline import preprocess
-from airpuck.twin.batch import TwinBatch
 from airpuck.twin.settings import (
     Effects,
     MotionCapture,
@@ -19,12 +17,11 @@ from airpuck.twin.settings import (
     OnBoard,
     Radio,
     Stall,
-    TwinSettings,
     read_twin_settings,
 )
-from airpuck.twin.twin import Twin
 
 from ..apparatus import typechecker
+from ..apparatus.changes import changed
 
 MODEL = replace(published_model("M3"), frame="body")
 OTHER = replace(
@@ -44,9 +41,7 @@ BLIND = OnBoard(rate_hz=0.0)
 PLAIN = TwinSettings(radio=Radio(jitter_s=0.007), motion_capture=CAPTURE, on_board=BLIND)
 BAD_DAY = TwinSettings(
     radio=Radio(jitter_s=0.02, loss=0.4, timeout_s=0.03, outages_s=((0.2, 0.3),)),
-    motion_capture=CAPTURE.model_copy(
-        update={"rate_hz": 100.0, "latency_s": 0.03, "gaps_s": ((0.5, 0.55),)}
-    ),
+    motion_capture=changed(CAPTURE, rate_hz=100.0, latency_s=0.03, gaps_s=((0.5, 0.55),)),
     on_board=BLIND,
     effects=Effects(
         battery_sag_1_s=0.05,
@@ -144,8 +139,7 @@ def test_the_final_state_is_that_of_the_end_of_the_last_period():
     # Both end at 0.49 s; the frames of the slow camera and of the fast one are at other times.
     ends = []
     for rate in (30.0, 240.0):
-        slow = CAPTURE.model_copy(update={"rate_hz": rate})
-        settings = PLAIN.model_copy(update={"motion_capture": slow})
+        settings = changed(PLAIN, motion_capture={"rate_hz": rate})
         batch = flown(MODEL, COMMAND[:49], settings, starts=np.zeros((1, 3)))
         ends.append(batch.final_state()[:, 0])
         assert np.abs(batch.state[:, 0] - ends[-1]).max() > 1e-4

@@ -5,17 +5,15 @@ import math
 import numpy as np
 import pytest
 
-from airpuck.boundary.errors import InputError
-from airpuck.craft.table import Mallet, Table
+from airpuck import InputError, PuckState, Table, Twin
+from airpuck.craft.table import Mallet
 from airpuck.model.model_file import published_model
-from airpuck.physics.puck import PuckState
 from airpuck.recording.bag import write_bag
 from airpuck.recording.csv_folder import write_csv
 from airpuck.recording.read import read_recording
 from airpuck.twin.plant import LONGEST_STEP, build_plant
 from airpuck.twin.play import HandMallet, World
 from airpuck.twin.settings import default_twin_settings
-from airpuck.twin.twin import Twin
 
 MODEL = published_model("M3")
 QUIET = default_twin_settings()

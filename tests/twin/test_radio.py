@@ -11,6 +11,7 @@ from scipy.stats import norm
 from airpuck.twin.radio import RadioLink, heard_commands, queued_delay
 from airpuck.twin.settings import Radio, default_twin_settings
 
+from ..apparatus.changes import changed
 from ..apparatus.examples import examples
 
 PERIOD = 0.01
@@ -206,9 +207,7 @@ DELAYS = [0.0, 0.004, 0.021, 0.05]
     ],
 )
 def test_each_craft_of_a_batch_receives_the_packets_of_a_single_twin(radio, unarmed):
-    default = default_twin_settings()
-    motors = default.motors.model_copy(update={"unarmed_s": unarmed})
-    flown = default.model_copy(update={"radio": radio, "motors": motors})
+    flown = changed(default_twin_settings(), radio=radio, motors={"unarmed_s": unarmed})
     sent = 0.01 * np.arange(120)
     seeds = range(600)
     delays = np.array([DELAYS[seed % 4] for seed in seeds])

@@ -7,16 +7,17 @@ import numpy as np
 import pytest
 
 import airpuck
-from airpuck.boundary.errors import InputError
+from airpuck import InputError, SetPoints
 from airpuck.cli.output import write_json
 from airpuck.control.laws import PAPERS
-from airpuck.control.reference import SetPoints
 from airpuck.model.model_file import published_model
 from airpuck.report.tables import tracking_tables
 from airpuck.twin.experiments import track
 from airpuck.twin.plant import build_plant
 from airpuck.twin.settings import default_twin_settings
 from airpuck.twin.tracking_study import SET_POINTS, compare_controllers, tracking_study
+
+from ..apparatus.changes import changed
 
 M4 = published_model("M4")
 #: One more than the paper's: the start, and four moves.
@@ -57,11 +58,8 @@ def test_all_moves_of_a_flight_are_reported_however_many(imitated):
 
 @pytest.mark.filterwarnings("error::RuntimeWarning")
 def test_missing_poses_at_the_end_of_a_dwell_are_reported(tmp_path):
-    settings = default_twin_settings()
-    capture = settings.motion_capture.model_copy(update={"gaps_s": ((1.2, 1.45),)})
-    flown = tracking_study(
-        [M4], M4, dwell=0.5, settings=settings.model_copy(update={"motion_capture": capture})
-    )
+    settings = changed(default_twin_settings(), motion_capture={"gaps_s": ((1.2, 1.45),)})
+    flown = tracking_study([M4], M4, dwell=0.5, settings=settings)
     # Against a flight beside it; errors of yaw are those of the shorter rotation.
     off = np.array([0.01, -0.02, 0.1])
     aside = replace(flown[0].twin, pose=flown[0].twin.pose + off + [0.0, 0.0, 2 * np.pi])

@@ -7,18 +7,17 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from airpuck.boundary.errors import InputError
+from airpuck import InputError, PuckState, Table, Twin, TwinSettings
 from airpuck.control.excitation import Excitation
-from airpuck.craft.table import Table
 from airpuck.model.model_file import nominal_model, published_model
-from airpuck.physics.puck import PuckState
 from airpuck.physics.rigid_body import rollout
 from airpuck.preprocessing.pipeline import preprocess
 from airpuck.recording.bag import write_bag
 from airpuck.twin.plant import build_plant
 from airpuck.twin.play import World
-from airpuck.twin.settings import Effects, MotionCapture, OnBoard, Radio, TwinSettings
-from airpuck.twin.twin import Twin
+from airpuck.twin.settings import MotionCapture, OnBoard, Radio
+
+from ..apparatus.changes import changed
 
 MODEL = replace(
     published_model("M3"),
@@ -32,6 +31,8 @@ QUIET = TwinSettings(
     ),
     on_board=OnBoard(acceleration_noise_m_s2=0.0, gyro_noise_rad_s=0.0, mouse_noise_m_s=0.0),
 )
+#: A radio without delay, which waits for seconds.
+AT_ONCE = {"delay_s": 0.0, "timeout_s": 9.0}
 NOISY = TwinSettings(
     radio=Radio(delay_s=0.0208, jitter_s=0.007, loss=0.1),
     motion_capture=MotionCapture(
@@ -126,9 +127,7 @@ def test_a_command_acts_exactly_after_its_delay(quiet):
 
 def test_a_delay_between_two_frames_is_not_rounded(plant):
     # One motor at full power: its speed shows how long it has been running.
-    settings = QUIET.model_copy(
-        update={"radio": Radio(delay_s=0.0231, jitter_s=0.0, timeout_s=5.0)}
-    )
+    settings = changed(QUIET, radio={"delay_s": 0.0231, "timeout_s": 5.0})
     command = np.array([1.0, 0, 0, 0, 0, 0])
     twin, _ = flown(settings, [command], plant, stop=0.05)
     times, states = twin.truth
@@ -139,12 +138,7 @@ def test_a_delay_between_two_frames_is_not_rounded(plant):
 
 @pytest.mark.slow
 def test_battery_sag_reduces_the_thrust():
-    settings = QUIET.model_copy(
-        update={
-            "effects": Effects(battery_sag_1_s=0.4),
-            "radio": Radio(delay_s=0, jitter_s=0.0, timeout_s=9),
-        }
-    )
+    settings = changed(QUIET, effects={"battery_sag_1_s": 0.4}, radio=AT_ONCE)
     # At 0.5 s a fifth is gone, at 2.5 s and later everything.
     twin = Twin(MODEL, settings)
     twin.send(np.array([0.5, 0.0, 0, 0, 0, 0]))
@@ -161,17 +155,15 @@ def test_battery_sag_reduces_the_thrust():
 
 def test_an_accelerometer_measures_thrust_but_not_the_slope():
     # On a table that slopes along x, one motor runs while the battery empties.
-    on_board = QUIET.on_board.model_copy(update={"rate_hz": 100.0})
-    changes = {"on_board": on_board, "radio": Radio(delay_s=0, jitter_s=0.0, timeout_s=9)}
-    effects = Effects(battery_sag_1_s=0.4, tilt_rad=(0.01, 0.0))
-    twin = Twin(MODEL, QUIET.model_copy(update={**changes, "effects": effects}))
+    settings = changed(QUIET, on_board={"rate_hz": 100.0}, radio=AT_ONCE)
+    sloping = {"battery_sag_1_s": 0.4, "tilt_rad": (0.01, 0.0)}
+    twin = Twin(MODEL, changed(settings, effects=sloping))
     twin.wait_until(0.2)
     rest = [m.values for m in twin.wait_until(0.5) if m.kind == "imu"]
     np.testing.assert_array_equal(rest, np.tile([0, 0, 9.81, 0, 0, rest[0][5]], (len(rest), 1)))
     felt = {}
     for sag in (0.0, 0.4):
-        effects = Effects(battery_sag_1_s=sag)
-        twin = Twin(MODEL, QUIET.model_copy(update={**changes, "effects": effects}))
+        twin = Twin(MODEL, changed(settings, effects={"battery_sag_1_s": sag}))
         twin.send(np.array([0.5, 0.0, 0, 0, 0, 0]))
         imu = [m for m in twin.wait_until(0.5) if m.kind == "imu"]
         felt[sag] = imu[-1]
@@ -269,8 +261,7 @@ def excited(settings, plant):
 @pytest.mark.slow
 @pytest.mark.parametrize("delay", [0.01, 0.0208, 0.04])
 def test_preprocessing_finds_the_delay_to_a_sample_though_frames_are_missing(plant, delay):
-    radio = NOISY.radio.model_copy(update={"delay_s": delay})
-    settings = NOISY.model_copy(update={"radio": radio})
+    settings = changed(NOISY, radio={"delay_s": delay})
     assert preprocess(excited(settings, plant), MODEL.vehicle).delay == pytest.approx(
         delay, abs=1.5 / 240
     )

@@ -6,14 +6,14 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from airpuck import ActuatorKind, InputError
+from airpuck import ActuatorKind, InputError, Model, Twin, TwinBatch, Vehicle
 from airpuck.craft.actuators import OnOff
-from airpuck.craft.vehicle import Propeller, Vehicle, default_vehicle
-from airpuck.model.model_file import Model, nominal_model
-from airpuck.twin.batch import TwinBatch
+from airpuck.craft.vehicle import Propeller, default_vehicle
+from airpuck.model.model_file import nominal_model
 from airpuck.twin.craft import Driver
 from airpuck.twin.settings import default_twin_settings
-from airpuck.twin.twin import Twin
+
+from ..apparatus.changes import changed
 
 FORCE, MASS = 0.5, 10.0
 DEAD, RISE, FALL = 0.0123, 0.006, 0.02
@@ -21,13 +21,12 @@ DEAD, RISE, FALL = 0.0123, 0.006, 0.02
 
 def craft(**times: float) -> Model:
     """One thruster along x; its radio has no delay."""
-    nominal = default_vehicle().nominal.model_copy(
-        update={
-            "thrust_N": (FORCE,),
-            "inertia_kg_m2": 0.05,
-            "motor_time_constant_s": (RISE + FALL) / 2,
-            "transport_delay_s": DEAD,
-        }
+    nominal = changed(
+        default_vehicle().nominal,
+        thrust_N=(FORCE,),
+        inertia_kg_m2=0.05,
+        motor_time_constant_s=(RISE + FALL) / 2,
+        transport_delay_s=DEAD,
     )
     known = {"dead_time_s": DEAD, "rise_s": RISE, "fall_s": FALL, **times}
     vehicle = Vehicle(
@@ -43,13 +42,7 @@ def craft(**times: float) -> Model:
 
 def flown(model: Model, *sent: tuple[float, float], until: float) -> tuple[float, float]:
     """Return position and speed along x after commands (time, level)."""
-    quiet = default_twin_settings().model_copy(
-        update={
-            "radio": default_twin_settings().radio.model_copy(
-                update={"jitter_s": 0.0, "timeout_s": 10.0}
-            )
-        }
-    )
+    quiet = changed(default_twin_settings(), radio={"jitter_s": 0.0, "timeout_s": 10.0})
     twin = Twin(model, quiet)
     for time, level in sent:
         twin.wait_until(time)
@@ -65,10 +58,27 @@ def impulse(on: float, later: float) -> float:
     return FORCE * (on - RISE * reached + FALL * reached * (1 - np.exp(-later / FALL)))
 
 
-@pytest.mark.parametrize("on", [0.0317, 0.0051, 0.2])
-def test_a_pulse_has_the_impulse_computed_by_hand(on: float) -> None:
-    _, speed = flown(craft(), (0.0501, 1.0), (0.0501 + on, 0.0), until=1.0)
-    assert speed == pytest.approx(impulse(on, 1.0 - on) / MASS, rel=2e-3)
+PERIODS = {"pwm_period_s": 0.1, "rise_s": 0.01, "fall_s": 0.01}
+
+
+@pytest.mark.parametrize(
+    ("times", "sent", "expected"),
+    [
+        *(
+            ({}, [(0.0501, 1.0), (0.0501 + on, 0.0)], impulse(on, 1.0 - on))
+            for on in (0.0317, 0.0051, 0.2)
+        ),
+        ({"least_on_s": 0.03}, [(0.05, 1.0), (0.06, 0.0)], impulse(0.03, 0.9)),
+        # With equal rise and fall, an impulse is force times on-time: three periods, then one.
+        (PERIODS, [(0.05, 0.3), (0.35, 0.8), (0.45, 0.0)], FORCE * (3 * 0.03 + 0.08)),
+        # Unequal packets in a period wait until half of it has passed.
+        (PERIODS, [(0.0, 0.1), (0.02, 0.9), (0.14, 0.0)], FORCE * (0.01 + 0.09)),
+    ],
+    ids=["32 ms", "5 ms", "0.2 s", "the least time", "duty cycles", "packets in a period"],
+)
+def test_pulses_have_the_impulse_computed_by_hand(times, sent, expected) -> None:
+    _, speed = flown(craft(**times), *sent, until=1.0)
+    assert speed == pytest.approx(expected / MASS, rel=2e-3)
 
 
 def test_nothing_moves_before_the_dead_time() -> None:
@@ -77,29 +87,10 @@ def test_nothing_moves_before_the_dead_time() -> None:
     assert flown(craft(), (0.1, 1.0), until=0.118)[1] > 0.0
 
 
-def test_a_valve_stays_open_for_its_least_time() -> None:
-    model = craft(least_on_s=0.03)
-    _, short = flown(model, (0.05, 1.0), (0.06, 0.0), until=1.0)
-    assert short == pytest.approx(impulse(0.03, 0.9) / MASS, rel=2e-3)
-
-
-def test_duty_cycles_become_pulses_that_repeat_until_the_next_packet() -> None:
-    model = craft(pwm_period_s=0.1, rise_s=0.01, fall_s=0.01)
-    _, speed = flown(model, (0.05, 0.3), (0.35, 0.8), (0.45, 0.0), until=1.0)
-    # With equal rise and fall, an impulse is force times on-time: three periods, then one.
-    assert speed == pytest.approx(FORCE * (3 * 0.03 + 0.08) / MASS, rel=2e-3)
-
-
 def test_full_duty_does_not_close_between_periods() -> None:
     pwm, switch = craft(pwm_period_s=0.1), craft()
     ends = [flown(m, (0.0, 1.0), (0.3, 0.0), until=0.8) for m in (pwm, switch)]
     np.testing.assert_allclose(*ends, rtol=1e-6)
-
-
-def test_unequal_packets_in_a_period_wait_until_half_of_it_has_passed() -> None:
-    model = craft(pwm_period_s=0.1, rise_s=0.001, fall_s=0.001)
-    _, speed = flown(model, (0.0, 0.1), (0.02, 0.9), (0.14, 0.0), until=0.5)
-    assert speed == pytest.approx(FORCE * (0.01 + 0.09) / MASS, rel=1e-2)
 
 
 def test_a_batch_rejects_valves() -> None:

@@ -1,7 +1,5 @@
 """The page server against hostile pages; the test plays the game at the other end of its pipe."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import http.client
@@ -31,11 +29,8 @@ HELLO = {"names": ["airpuck", "you"]}
 @pytest.fixture
 def arena() -> Iterator[Arena]:
     """A separate server for each test: some abort connections."""
-    made = Arena(HELLO)
-    try:
+    with contextlib.closing(Arena(HELLO)) as made:
         yield made
-    finally:
-        made.close()
 
 
 def news(page, kind: str) -> dict:
@@ -109,8 +104,7 @@ def test_the_second_page_watches_until_the_seat_is_free(arena):
 
 
 def test_every_page_of_the_live_view_may_move_the_set_point():
-    arena = Arena({"reach": [1, 0.5]}, page=VIEW_PAGE)
-    try:
+    with contextlib.closing(Arena({"reach": [1, 0.5]}, page=VIEW_PAGE)) as arena:
         with arena.page() as first:
             assert news(first, "hello")["reach"] == [1, 0.5]
             arena.pipe.send_bytes(SCENE + b'{"is": "scene", "plan": null}')
@@ -121,8 +115,6 @@ def test_every_page_of_the_live_view_may_move_the_set_point():
                     page.send(struct.pack("<Ifff", number, 0.5, 0.25, 2.0))
                     assert arena.heard() == (WISH, (number, 0.5, 0.25, 2.0))
         assert arena.silent()
-    finally:
-        arena.close()
 
 
 def test_a_page_that_comes_late_hears_the_status(arena):
@@ -255,22 +247,22 @@ def asleep(port: int) -> socket.socket:
 @pytest.mark.parametrize("busy", [False, True], ids=["paused", "playing"])
 def test_a_page_that_falls_asleep_loses_its_seat(busy):
     """Either its buffer is full, so that no ping arrives, or it does not answer pings."""
-    arena = Arena(HELLO, patience=0.3)
-    try:
-        with asleep(arena.port), arena.page() as awake:
-            arena.hears("sit")
-            assert news(awake, "role")["role"] == "spectator"
-            deadline = time.monotonic() + 10
-            while not arena.pipe.poll(0.005):
-                assert time.monotonic() < deadline
-                if busy:
-                    arena.pipe.send_bytes(STATE + b"\0" * 30_000)
-                    awake.recv(timeout=5)
-            arena.hears("leave")
-            awake.send('{"do": "sit"}')
-            assert news(awake, "role")["role"] == "player"
-    finally:
-        arena.close()
+    with (
+        contextlib.closing(Arena(HELLO, patience=0.3)) as arena,
+        asleep(arena.port),
+        arena.page() as awake,
+    ):
+        arena.hears("sit")
+        assert news(awake, "role")["role"] == "spectator"
+        deadline = time.monotonic() + 10
+        while not arena.pipe.poll(0.005):
+            assert time.monotonic() < deadline
+            if busy:
+                arena.pipe.send_bytes(STATE + b"\0" * 30_000)
+                awake.recv(timeout=5)
+        arena.hears("leave")
+        awake.send('{"do": "sit"}')
+        assert news(awake, "role")["role"] == "player"
 
 
 def test_it_ends_with_the_game(arena):

@@ -1,7 +1,5 @@
 """The live view: valid set points; and, in a real browser, that the craft follows them."""
 
-from __future__ import annotations
-
 import io
 import json
 import math

@@ -1,7 +1,5 @@
 """Limits of a hand: made-up recordings whose reactions, strokes and shots are known exactly."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -7,8 +7,8 @@ import pytest
 
 import airpuck
 import airpuck_hockey
-from airpuck.boundary.errors import InputError
 from tests.apparatus import typechecker
+from tests.apparatus.refusals import rejected
 
 NAN = np.nan
 M3 = airpuck.read_model("paper:M3")
@@ -55,10 +55,8 @@ def unchecked():
 
 @pytest.mark.parametrize(("field", "made"), WRONG)
 def test_impossible_values_are_named(field, made):
-    with pytest.raises(InputError) as error:
+    with rejected(field=field):
         made()
-    assert error.value.field == field
-    assert "\n" not in str(error.value)
 
 
 def test_values_that_callers_use_are_still_accepted():

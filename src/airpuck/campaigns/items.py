@@ -42,6 +42,7 @@ if TYPE_CHECKING:
 
 #: A number; null in JSON stands for NaN.
 Figure = Annotated[float, pydantic.BeforeValidator(lambda v: math.nan if v is None else v)]
+#: Results of an item, by name.
 Row = dict[str, Figure]
 
 

@@ -20,6 +20,7 @@ from airpuck.boundary.errors import InputError, explained, installed
 from airpuck.boundary.signals import SIGNALS, Stopped, stop
 from airpuck.campaigns.fingerprints import program
 from airpuck.campaigns.items import Item, Row
+from airpuck.compute.process import usable_cores
 
 #: Number of dead workers after which an item counts as failed.
 DEADLY = 3
@@ -61,8 +62,11 @@ class ItemResult(pydantic.BaseModel):
     wall_s: float | None = None
 
 
-def checked_workers(workers: int | str | None) -> int | str | None:
-    """Return a number of processes, or the address of a Dask scheduler as it is."""
+def checked_workers(workers: int | str | None, jobs: int | None = None) -> int | str | None:
+    """Return a number of processes, or the address of a Dask scheduler as it is.
+
+    With a number of `jobs`, there are no more processes than jobs, and by default one per core.
+    """
     if isinstance(workers, str):
         if "://" in workers:
             return workers
@@ -73,7 +77,7 @@ def checked_workers(workers: int | str | None) -> int | str | None:
             raise InputError(known, field="workers") from None
     if workers is not None:
         numbers.WORKERS.check(workers, "workers")
-    return workers
+    return workers if jobs is None else min(workers or usable_cores(), jobs)
 
 
 def dispatch(

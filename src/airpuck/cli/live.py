@@ -394,8 +394,9 @@ def commission(
 ) -> None:
     """Fly a new craft from rest to a trusted model, alone: pulses, hover, excitations, studies.
 
-    Put the craft at rest in the middle of the table. Any key stops it. Status 2 if the model is not
-    trusted; the last line then says why, and what to do.
+    Put the craft at rest in the middle of the table. Any key stops it.
+
+    Status 2 if the model is not trusted; the last line then says why, and what to do.
     """
     craft = vehicle or airpuck.default_vehicle()
     if truth is None and twin is not None:
@@ -420,6 +421,7 @@ def commission(
             rails = link.settings.table
             found = airpuck.commission(link, craft, output, table=rails, seed=seed, **given)
     written = page(output, "commissioning_report.commissioning_report", found)
-    report(found.to_json(), *found.sentences, written)
+    # The last line is the first finding of a craft that is not trusted.
+    report(found.to_json(), *found.sentences[not found.trusted :], written)
     if not found.trusted:
         raise InputError(f"not trusted: {found.findings[0].sentence.removesuffix('.')}")

@@ -66,13 +66,20 @@ def _is_symbolic(value: Any) -> bool:
     return type(value).__module__.partition(".")[0] == "casadi"
 
 
+#: Annotations of fields that a fit does not differentiate by.
+_SETTINGS = {word for kind in (int, bool, str) for word in (kind, kind.__name__)}
 #: Fits run in parallel threads, and JAX rejects a second registration.
 _registered: set[Any] = set()
 _registering = Lock()
 
 
+def differentiable(kind: Any) -> list[str]:
+    """Return a dataclass's fields but those for whole numbers, flags and texts: its settings."""
+    return [one.name for one in fields(kind) if one.type not in _SETTINGS]
+
+
 def register_pytree(kind: Any, static: str = "") -> None:
-    """Let JAX see the arrays inside a dataclass; the field `static` contains none.
+    """Let JAX see the arrays inside a dataclass; settings and the field `static` contain none.
 
     JAX treats another class as a constant.
     """
@@ -85,8 +92,9 @@ def register_pytree(kind: Any, static: str = "") -> None:
         if not hasattr(kind, "__dataclass_fields__"):
             register_static(kind)
             return
-        names, fixed = [entry.name for entry in fields(kind)], [static] if static else []
-        register_dataclass(kind, [name for name in names if name != static], fixed)
+        names = [name for name in differentiable(kind) if name != static]
+        fixed = [entry.name for entry in fields(kind) if entry.name not in names]
+        register_dataclass(kind, names, fixed)
 
 
 def linear_map(matrix: Any, vector: Any) -> Any:

@@ -21,10 +21,8 @@ from airpuck.control.tracking import TrackingController
 from airpuck.craft.table import Table
 from airpuck.data.measurement import Measurement, MeasurementKind
 from airpuck.export.gym_task import (
-    ALL,
     LONGEST,
     PERIOD,
-    ROW,
     CourseTask,
     ModelSource,
     Observation,
@@ -52,6 +50,7 @@ _SCALE, _RAIL = 300, 0.03
 #: Width of an outline, and half the length and width of the mark that shows the yaw, in radii.
 _OUTLINE, _MARK = 0.12, (0.45, 0.08)
 _FLOOR, _RAILS, _LINE = (250, 250, 247), (70, 70, 70), (214, 214, 208)
+#: Colours of a picture.
 WHITE, BLACK, GREEN, BLUE, RED = (
     (255, 255, 255),
     (30, 30, 30),
@@ -70,7 +69,7 @@ class DrawnDisc(NamedTuple):
     radius: float
     edge: tuple[int, int, int]
     #: None: an outline only.
-    face: tuple[int, int, int] | None
+    face: tuple[int, int, int] | None = WHITE
 
 
 def picture(table: Table, discs: Iterable[DrawnDisc]) -> UInt8[np.ndarray, "height width 3"]:
@@ -217,7 +216,7 @@ class TwinEnv(gymnasium.Env[Observation, Any]):
             raise gymnasium.error.ResetNeeded("call reset() before render()")
         puck = self._twin.world.puck
         discs = self._targets() + drawn_puck(puck and puck.state, self.settings)
-        craft = DrawnDisc(self._twin.state[:3], self.model.vehicle.radius_m, BLACK, WHITE)
+        craft = DrawnDisc(self._twin.state[:3], self.model.vehicle.radius_m, BLACK)
         return picture(self.settings.table, [*discs, craft])
 
     def _targets(self) -> list[DrawnDisc]:
@@ -230,7 +229,7 @@ class TwinEnv(gymnasium.Env[Observation, Any]):
             raise gymnasium.error.ResetNeeded("call reset() before step()")
         command = checked_action(action, (self.model.vehicle.n_propellers,))
         self._twin.send(command)
-        self._seen.command(ALL, command[None])
+        self._seen.command(command[None])
         self._seen.measured(self._twin.wait_until(float(self._seen.time[0])))
         return self._twin
 
@@ -284,7 +283,7 @@ class CourseEnv(TwinEnv):
             plant=self._plant,
             logs=False,
         )
-        self._seen.begin(ROW, "pose", start[None])
+        self._seen.begin("pose", start[None])
         return self._observation(), {"is_success": False}
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
@@ -376,7 +375,7 @@ class CourseVectorEnv(vector.VectorEnv[Observation, np.ndarray, np.ndarray]):
         if self._over.any():
             self._begin(np.flatnonzero(self._over), {})
         self._batch.step(commands, moving)
-        seen.command(moving, commands)
+        seen.command(commands, moving)
         arrived, stamp, pose = self._batch.measured()
         seen.see(moving & arrived, "pose", stamp, pose)
         reward, there = self._task.judge(seen.pose["pose"], seen.rate["pose"])
@@ -390,7 +389,7 @@ class CourseVectorEnv(vector.VectorEnv[Observation, np.ndarray, np.ndarray]):
         drawn = [self._task.draw(row, self._generators[row], given) for row in rows.tolist()]
         starts = np.array([start for start, _ in drawn])
         self._batch.reset(rows, starts, [seed for _, seed in drawn])
-        self._seen.begin(rows, "pose", starts)
+        self._seen.begin("pose", starts, rows=rows)
         self._over[rows] = False
 
     def _observation(self) -> Observation:

@@ -38,11 +38,14 @@ _HIDDEN = 0.1
 #: Seeds of twins and games lie below this.
 SEEDS = 2**31
 
-#: A batch of one: its row, and a mask that includes it.
-ROW, ALL = np.zeros(1, int), np.ones(1, bool)
+#: The rows of a batch of one.
+_ALL = np.ones(1, bool)
 
+#: Arrays by name, as docs/export.md describes them.
 Observation = dict[str, np.ndarray]
+#: A model, or what `airpuck.read_model` reads.
 ModelSource = Model | str | os.PathLike[str]
+#: Settings of the twin, or their file; by default the paper's.
 TwinSource = TwinSettings | str | os.PathLike[str] | None
 
 
@@ -135,17 +138,17 @@ class Seen:
 
     def begin(
         self,
-        rows: Int[np.ndarray, " R"],
         body: MeasurementKind,
         pose: Float[np.ndarray, "R 3"],
         rate: Float[np.ndarray, "R 3"] | float = 0.0,
+        rows: Int[np.ndarray, " R"] | Bool[np.ndarray, " B"] = _ALL,
     ) -> None:
         """Begin with the exact initial pose of a body."""
         self._steps[rows], self.sent[rows] = 0, 0.0
         self._stamp[body][rows] = self._clock_offset
         self.pose[body][rows], self.rate[body][rows] = self._inside(body, pose), rate
 
-    def command(self, rows: Bool[np.ndarray, " B"], sent: Float[np.ndarray, "B n"]) -> None:
+    def command(self, sent: Float[np.ndarray, "B n"], rows: Bool[np.ndarray, " B"] = _ALL) -> None:
         """Store sent commands, and advance by a period."""
         latest = np.concatenate([sent[:, None], self.sent[:, :-1]], axis=1)
         self.sent = np.where(rows[:, None, None], latest, self.sent)
@@ -175,7 +178,7 @@ class Seen:
             m.kind: m for m in measurements if m.kind in self.pose
         }
         for kind, m in latest.items():
-            self.see(ALL, kind, np.array([m.stamp]), m.values[None])
+            self.see(_ALL, kind, np.array([m.stamp]), m.values[None])
 
     def _inside(
         self, body: MeasurementKind, pose: Float[np.ndarray, "R 3"]

@@ -11,13 +11,14 @@ import inspect
 import keyword
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass, is_dataclass
 from typing import Any
 
 import numpy as np
 
 from airpuck.boundary.errors import InputError, unknown
 from airpuck.boundary.files import NonNegative, Positive
+from airpuck.compute.arrays import differentiable
 from airpuck.physics.effects import (
     HIDDEN,
     Dish,
@@ -201,7 +202,8 @@ def quantity_of(
     name = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", effect.__name__).lower()
     if keyword.iskeyword(name) or name in {quantity.name for quantity in QUANTITIES}:
         raise refuse("has the name of a built-in quantity, or a keyword; rename the class")
-    found = {f.name: f.default for f in fields(effect) if isinstance(f.default, int | float)}
+    defaults = ((name, getattr(effect, name, None)) for name in differentiable(effect))
+    found = {name: start for name, start in defaults if isinstance(start, int | float)}
     if not found:
         raise refuse("has no coefficients: no field has a number as default")
     limits = dict.fromkeys(found, (-np.inf, np.inf)) | dict(effect.bounds) | dict(bounds or {})

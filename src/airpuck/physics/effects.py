@@ -15,7 +15,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from airpuck.compute.arrays import linear_map
+from airpuck.compute.arrays import differentiable, linear_map
 from airpuck.craft.vehicle import GRAVITY, Vehicle
 
 
@@ -70,7 +70,8 @@ def _unknown(*_: Any) -> None:
 class Effect:
     """Base of all effects: changes nothing.
 
-    Fields of a subclass that have a number as default are its coefficients; a fit starts there. All
+    Fields of a subclass that have a number as default are its coefficients; a fit starts there.
+    Whole numbers (`int`), flags and texts are settings, which a fit leaves as they are. All
     arithmetic uses the array namespace `xp`, since fits differentiate it. A subclass that overrides
     `thrust` also implements `thrust_bounds`; a subclass that overrides `acceleration` implements
     `acceleration_bound`. If it does not, or if either returns None, no bound is known.
@@ -112,7 +113,7 @@ class Effect:
         Effect
             With these coefficients.
         """
-        return cls(*value)
+        return cls(**dict(zip(differentiable(cls), value, strict=False)))
 
     @property
     def idle_lag(self) -> Any:

@@ -13,9 +13,9 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from airpuck.boundary.errors import InputError
-from airpuck.craft.table import Table
+from airpuck.craft.table import AirHockey, Table
 from airpuck.model.model_file import Model
-from airpuck.report.table_canvas import color_scheme, craft_shape
+from airpuck.report.table_canvas import color_scheme, craft_shape, hockey_shape
 from airpuck.web.requests import Wish, listen, read_message
 from airpuck.web.server import EVENT, SCENE, STATE, THOUGHT, WISH, PageKind, serve
 
@@ -136,12 +136,13 @@ def invite(pages: Pages, browser: bool, tell: Any, what: str = "Play") -> None:
         webbrowser.open(pages.url)
 
 
-def table_of(model: Model, table: Table) -> dict[str, Any]:
-    """Return the data that a page needs to draw a craft on its table."""
+def table_of(model: Model, table: Table, game: AirHockey | None = None) -> dict[str, Any]:
+    """Return the data that a page needs to draw a craft on its table, and a game's if given."""
     x, y = table.length_m / 2, table.width_m / 2
     return {
         "table": [table.length_m, table.width_m],
         "view": [-x, x, -y, y],
         "craft": craft_shape(model.vehicle),
+        "hockey": game and hockey_shape(game),
         "schemes": {name: color_scheme(name) for name in ("light", "dark")},
     }

@@ -43,8 +43,10 @@ def listen(host: str, port: int) -> socket.socket:
         ) from error
 
 
-def address_of(interface: str) -> str:
-    """Return the IPv4 address of a network interface."""
+def address_of(interface: str | None) -> str:
+    """Return the IPv4 address of a network interface; of loopback if None is given."""
+    if interface is None:
+        return LOOPBACK
     check_interface(interface)
     if sys.platform not in _SIOCGIFADDR:
         raise InputError("works on Linux and macOS only", field="--interface")

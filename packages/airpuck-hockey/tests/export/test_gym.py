@@ -11,12 +11,9 @@ import pytest
 from gymnasium.utils.env_checker import check_env, data_equivalence
 from pettingzoo.test import parallel_api_test, parallel_seed_test
 
-from airpuck.boundary.errors import InputError
-from airpuck.control.law import Pilot, Step
-from airpuck.craft.table import Table
+from airpuck import InputError, Pilot, PuckState, Step, Table
 from airpuck.export import write
 from airpuck.model.model_file import published_model
-from airpuck.physics.puck import PuckState
 from airpuck.twin.settings import OnBoard
 from airpuck_hockey.export.gym import ENVIRONMENTS, PuckEnv
 from airpuck_hockey.export.gym_game import GameEnv

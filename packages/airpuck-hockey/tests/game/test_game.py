@@ -7,16 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airpuck.boundary.errors import InputError
-from airpuck.control.law import Pilot, Step
+from airpuck import InputError, Pilot, PuckState, Step
 from airpuck.model.model_file import read_model
-from airpuck.physics.puck import PuckState
 from airpuck.recording.bag import write_bag
 from airpuck.recording.read import read_recording
 from airpuck.twin.settings import default_twin_settings
+from airpuck_hockey import Game, Rules
 from airpuck_hockey.game.contestant import Contestant, contestant
-from airpuck_hockey.game.game import Game, serve
-from airpuck_hockey.game.rules import Rules
+from airpuck_hockey.game.game import serve
+from tests.apparatus.changes import changed
 
 HARD, EASY = contestant("human:hard"), contestant("human:easy")
 
@@ -87,14 +86,9 @@ def pusher(seen=None) -> Contestant:
 
 def exact():
     """Settings without noise and random losses."""
-    usual = default_twin_settings()
     nothing = {"position_noise_m": 0.0, "yaw_noise_rad": 0.0, "latency_jitter_s": 0.0}
-    return usual.model_copy(
-        update={
-            "motion_capture": usual.motion_capture.model_copy(update=nothing),
-            "radio": usual.radio.model_copy(update={"jitter_s": 0.0, "loss": 0.0}),
-        }
-    )
+    radio = {"jitter_s": 0.0, "loss": 0.0}
+    return changed(default_twin_settings(), motion_capture=nothing, radio=radio)
 
 
 def test_a_game_turned_by_half_a_turn_is_the_turned_game():

@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airpuck.boundary.errors import InputError
-from airpuck.physics.puck import PuckState
+from airpuck import InputError, PuckState
 from airpuck.physics.puck_on_table import PuckOnTable
 from airpuck_hockey.game.contestant import contestant
 from airpuck_hockey.game.hand import HANDS, Dexterity, Keeper, Striker

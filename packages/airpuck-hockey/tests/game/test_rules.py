@@ -52,16 +52,31 @@ def test_a_goal_at_the_last_moment_counts():
     assert judge.judge(10.0, 1.13, 3.0, 1) == [("goal", -1), ("over", -1)]
 
 
-def test_fifteen_seconds_on_one_side_give_the_puck_to_the_other():
+FOUL, OTHER = [("foul", -1), ("serve", 1)], [("foul", 1), ("serve", -1)]
+
+
+@pytest.mark.parametrize(
+    ("first", "seen"),
+    [
+        # Crossing the line in time restarts the clock.
+        (-1, [(14.99, -0.5, []), (15.0, -0.5, FOUL), (29.0, 0.5, []), (29.5, -0.1, []),
+              (31.0, 0.1, []), (45.9, 0.5, []), (46.0, 0.5, OTHER)]),
+        # Exactly on the line it is on nobody's side; the next half again has fifteen seconds.
+        (1, [(0.1, 0.0, []), (16.0, 0.0, []), (20.0, 0.2, []), (34.9, 0.2, []),
+             (35.0, 0.2, OTHER)]),
+    ],
+)  # fmt: skip
+def test_fifteen_seconds_on_one_side_give_the_puck_to_the_other(first, seen):
+    judge = referee(first=first)
+    for time, x, said in seen:
+        assert judge.judge(time, x, 1.0, 0) == said
+
+
+def test_who_put_the_puck_into_play_has_fifteen_seconds():
     judge = referee(first=-1)
-    assert judge.judge(14.99, -0.5, 1.0, 0) == []
-    assert judge.judge(15.0, -0.5, 1.0, 0) == [("foul", -1), ("serve", 1)]
-    # Crossing the line in time restarts the clock.
-    assert judge.judge(29.0, 0.5, 1.0, 0) == []
-    assert judge.judge(29.5, -0.1, 1.0, 0) == []
-    assert judge.judge(31.0, 0.1, 1.0, 0) == []
-    assert judge.judge(45.9, 0.5, 1.0, 0) == []
-    assert judge.judge(46.0, 0.5, 1.0, 0) == [("foul", 1), ("serve", -1)]
+    judge.serve(10.0, 1)
+    assert judge.judge(24.9, 0.5, 1.0, 0) == []
+    assert judge.judge(25.0, 0.5, 1.0, 0) == OTHER
 
 
 def test_a_puck_that_rests_on_the_line_is_served_anew_by_turns():
@@ -87,16 +102,6 @@ def test_somebody_can_win(goals):
         Rules(goals=goals)
 
 
-def test_a_puck_exactly_on_the_line_is_on_nobodys_side():
-    judge = referee(first=1)
-    assert judge.judge(0.1, 0.0, 1.0, 0) == []
-    assert judge.judge(16.0, 0.0, 1.0, 0) == []
-    # The next half again has fifteen seconds.
-    assert judge.judge(20.0, 0.2, 1.0, 0) == []
-    assert judge.judge(34.9, 0.2, 1.0, 0) == []
-    assert judge.judge(35.0, 0.2, 1.0, 0) == [("foul", 1), ("serve", -1)]
-
-
 def test_a_puck_as_far_from_the_line_as_its_radius_can_be_stuck_and_no_farther():
     radius = AirHockey().puck.radius_m
     for x, speed, stuck in ((0.99, 0.04, True), (1.01, 0.04, False), (0.5, 0.06, False)):
@@ -111,14 +116,6 @@ def test_a_game_lasts_five_minutes_and_goals_are_followed_by_a_pause_of_a_second
     assert judge.judge(1.99, 1.13, 3.0, 1) == []
     assert judge.judge(2.0, 1.13, 3.0, 1) == [("serve", 1)]
     # Alternate the sides, so that there is no foul.
-    for k in range(3, 300):
-        assert judge.judge(float(k), 0.5 * (-1) ** k, 1.0, 0) == []
-    assert judge.judge(299.9, 0.5, 1.0, 0) == []
+    for k in (*range(3, 300), 299.9):
+        assert judge.judge(float(k), 0.5 * (-1) ** int(k), 1.0, 0) == []
     assert judge.judge(300.0, 0.5, 1.0, 0) == [("over", -1)]
-
-
-def test_who_put_the_puck_into_play_has_fifteen_seconds():
-    judge = referee(first=-1)
-    judge.serve(10.0, 1)
-    assert judge.judge(24.9, 0.5, 1.0, 0) == []
-    assert judge.judge(25.0, 0.5, 1.0, 0) == [("foul", 1), ("serve", -1)]

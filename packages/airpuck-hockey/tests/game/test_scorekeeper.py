@@ -5,14 +5,13 @@ import math
 import numpy as np
 import pytest
 
-from airpuck.craft.table import AirHockey
-from airpuck.physics.puck import PuckState
+from airpuck import AirHockey, PuckState
 from airpuck.physics.puck_on_table import PuckOnTable
 from airpuck.twin.settings import default_twin_settings
+from airpuck_hockey import Game, Rules
 from airpuck_hockey.game.contestant import contestant
-from airpuck_hockey.game.game import Game
-from airpuck_hockey.game.rules import Rules
 from airpuck_hockey.game.scorekeeper import Scorekeeper
+from tests.apparatus.changes import changed
 
 PLAY = AirHockey()
 FRAME = 1 / 240
@@ -49,6 +48,11 @@ class Cameras:
             self.see(x, y, puck=not puck.goal and visible(abs(x)))
         return puck
 
+    def shoot(self, *state, seconds, visible=lambda x: True):
+        """A puck that has rested where it is shot from."""
+        self.rest(*state[:2])
+        return self.fly(state, seconds, visible)
+
     def repeat(self, pose, frames):
         """Frames that repeat a pose."""
         for _ in range(frames):
@@ -69,8 +73,7 @@ class Cameras:
 @pytest.mark.parametrize("goal", [-1, 1])
 def test_a_puck_that_crosses_the_line_inside_the_goal_and_vanishes(goal, speed):
     cameras = Cameras()
-    cameras.rest(0.9 * goal, 0.1)
-    puck = cameras.fly((0.9 * goal, 0.1, speed * goal, -0.05 * speed), 0.25 / speed + 0.3)
+    puck = cameras.shoot(0.9 * goal, 0.1, speed * goal, -0.05 * speed, seconds=0.25 / speed + 0.3)
     assert puck.goal == goal
     assert cameras.said == [("goal", -goal)]
     assert cameras.score == ((0, 1) if goal < 0 else (1, 0))
@@ -81,16 +84,14 @@ def test_a_puck_that_crosses_the_line_inside_the_goal_and_vanishes(goal, speed):
 @pytest.mark.parametrize(("speed", "seen"), [(3.0, 1.09), (4.0, 1.06)])
 def test_cameras_that_do_not_see_as_far_as_the_line(speed, seen):
     cameras = Cameras()
-    cameras.rest(0.5, 0.0)
-    cameras.fly((0.5, 0.0, speed, 0.0), 1.0, visible=lambda x: x < seen)
+    cameras.shoot(0.5, 0.0, speed, 0.0, seconds=1.0, visible=lambda x: x < seen)
     assert cameras.said == [("goal", -1)]
 
 
 @pytest.mark.parametrize("after", [1, 3, 30])
 def test_a_puck_that_is_put_back_at_once(after):
     cameras = Cameras()
-    cameras.rest(-0.9, 0.0)
-    cameras.fly((-0.9, 0.0, -3.0, 0.0), 0.0775)
+    cameras.shoot(-0.9, 0.0, -3.0, 0.0, seconds=0.0775)
     cameras.see(puck=False, frames=after)
     assert cameras.score == (0, 0)
     cameras.rest(0.3, 0.1)
@@ -102,8 +103,7 @@ def test_a_puck_that_is_put_back_at_once(after):
 
 def test_a_puck_that_rattles_in_the_goal_counts_once():
     cameras = Cameras()
-    cameras.rest(0.9, 0.0)
-    cameras.fly((0.9, 0.0, 3.0, 0.0), 0.4)
+    cameras.shoot(0.9, 0.0, 3.0, 0.0, seconds=0.4)
     for _ in range(5):
         cameras.see(1.12, 0.05, frames=10)
         cameras.nothing(0.3)
@@ -116,8 +116,7 @@ def test_a_shot_that_is_saved_unseen():
     """A hand covers the puck in front of the line for a while; then the puck reappears."""
     for hidden in (0.1, 0.3, 2.0):
         cameras = Cameras()
-        cameras.rest(0.5, 0.0)
-        cameras.fly((0.5, 0.0, 3.0, 0.0), 0.4 / 3)
+        cameras.shoot(0.5, 0.0, 3.0, 0.0, seconds=0.4 / 3)
         cameras.nothing(hidden)
         cameras.fly((0.9, 0.0, -2.0, 0.3), 0.4)
         assert cameras.said == []
@@ -126,8 +125,7 @@ def test_a_shot_that_is_saved_unseen():
 @pytest.mark.parametrize("x", np.arange(-1.05, 1.06, 0.15))
 def test_a_puck_that_vanishes_on_its_way(x):
     cameras = Cameras()
-    cameras.rest(x, 0.0)
-    cameras.fly((x, 0.0, math.copysign(0.5, x), 0.0), 0.02)
+    cameras.shoot(x, 0.0, math.copysign(0.5, x), 0.0, seconds=0.02)
     cameras.nothing(3.0)
     cameras.rest(x, 0.0)
     assert cameras.said == []
@@ -136,8 +134,7 @@ def test_a_puck_that_vanishes_on_its_way(x):
 def test_a_puck_that_meets_the_rail_or_a_post_beside_the_goal():
     for y in (0.25, 0.2, 0.19):
         cameras = Cameras()
-        cameras.rest(0.7, y)
-        puck = cameras.fly((0.7, y, 4.0, 0.0), 0.5)
+        puck = cameras.shoot(0.7, y, 4.0, 0.0, seconds=0.5)
         assert puck.goal == 0
         assert cameras.said == []
 
@@ -146,8 +143,7 @@ def test_poses_that_freeze():
     """The last pose is repeated, anywhere in front of the goal."""
     for seconds in (0.02, 0.06, 0.1):
         cameras = Cameras()
-        cameras.rest(0.6, 0.0)
-        cameras.fly((0.6, 0.0, 4.0, 0.0), seconds)
+        cameras.shoot(0.6, 0.0, 4.0, 0.0, seconds=seconds)
         frozen = np.array([0.6 + 4.0 * seconds, 0.0, 0.3])
         cameras.repeat(frozen, 500)
         cameras.rest(0.6, 0.2)
@@ -158,8 +154,7 @@ def test_poses_that_freeze_while_the_puck_is_slow():
     """Repeated poses are not a resting puck: neither for a goal nor for a foul."""
     for x, said in ((1.05, [("goal", -1)]), (0.5, [])):
         cameras = Cameras(Rules(foul_s=2.0))
-        cameras.rest(x, 0.0)
-        cameras.fly((x, 0.0, 0.4, 0.0), 0.1)
+        cameras.shoot(x, 0.0, 0.4, 0.0, seconds=0.1)
         cameras.repeat(cameras.pose, round(3.0 / FRAME))
         assert cameras.said == said
 
@@ -195,8 +190,7 @@ def test_poses_that_are_anywhere_and_nothing():
 @pytest.mark.parametrize("gap", [0.25, 2.0])
 def test_cameras_that_are_blind_when_the_puck_is_about_to_be_in(gap):
     cameras = Cameras()
-    cameras.rest(0.9, 0.0)
-    cameras.fly((0.9, 0.0, 3.0, 0.0), 0.0775)
+    cameras.shoot(0.9, 0.0, 3.0, 0.0, seconds=0.0775)
     cameras.time += gap
     # The cameras see other objects before they see the puck again.
     cameras.nothing(0.5)
@@ -224,8 +218,7 @@ def test_fouls_and_a_puck_that_is_stuck():
 def test_after_the_end_the_next_puck_begins_another_game():
     cameras = Cameras(Rules(goals=2))
     for _ in range(3):
-        cameras.rest(0.9, 0.0)
-        cameras.fly((0.9, 0.0, 3.0, 0.0), 0.5)
+        cameras.shoot(0.9, 0.0, 3.0, 0.0, seconds=0.5)
     assert cameras.said == [("goal", -1), ("goal", -1), ("over", -1), ("goal", -1)]
     assert cameras.keeper.games == 2
     assert cameras.score == (1, 0)
@@ -236,9 +229,7 @@ def test_after_the_end_the_next_puck_begins_another_game():
 def test_it_agrees_with_the_referee_of_a_game():
     """Two scripted humans play; the cameras lose frames and have noise."""
     rules = Rules(goals=100, limit_s=50.0)
-    settings = default_twin_settings()
-    cameras = settings.motion_capture.model_copy(update={"dropped": 0.05})
-    settings = settings.model_copy(update={"motion_capture": cameras})
+    settings = changed(default_twin_settings(), motion_capture={"dropped": 0.05})
     players = contestant("human:hard"), contestant("human:easy")
     game = Game(*players, rules=rules, settings=settings, seed=0)
     game.play()

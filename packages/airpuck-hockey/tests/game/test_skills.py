@@ -5,16 +5,13 @@ import math
 import numpy as np
 import pytest
 
-from airpuck.boundary.errors import InputError
-from airpuck.control.reference import SetPoint
-from airpuck.craft.table import AirHockey, Table
+from airpuck import AirHockey, InputError, PuckState, SetPoint, Table
 from airpuck.model.model_file import read_model
-from airpuck.physics.puck import PuckState
 from airpuck.twin.plant import build_plant
 from airpuck.twin.settings import default_twin_settings
+from airpuck_hockey import Intention
 from airpuck_hockey.game.skills import SKILLS, Skill, Stage, episode, skills
 from airpuck_hockey.player.player import pitch_of
-from airpuck_hockey.player.tactic import Intention
 
 MODEL, PLAY = read_model("paper:M3"), AirHockey()
 SETTINGS = default_twin_settings().with_usual_delay(MODEL.transport_delay)

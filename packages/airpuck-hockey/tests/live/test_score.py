@@ -1,11 +1,9 @@
 """The score on a graph: the flying process detects goals and reports them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
-from airpuck.craft.table import AirHockey
+from airpuck import AirHockey, PuckState
 from airpuck.craft.vehicle import default_vehicle
 from airpuck.flight.clock import Clock
 from airpuck.flight.pulses import PulseTest
@@ -13,7 +11,6 @@ from airpuck.live import fly
 from airpuck.live.graph import SENSOR, Graph
 from airpuck.live.safety import half_of
 from airpuck.live.settings import LiveSettings
-from airpuck.physics.puck import PuckState
 from airpuck.physics.puck_on_table import PuckOnTable
 from airpuck.recording.message import StreamCodec
 from airpuck_hockey.game.scorekeeper import Score

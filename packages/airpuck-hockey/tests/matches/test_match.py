@@ -2,7 +2,6 @@
 
 import contextlib
 import json
-import logging
 import os
 import pty
 import shutil
@@ -201,22 +200,6 @@ def test_a_game_is_drawn_in_a_terminal_and_says_how_far_it_is():
 
     assert "LLL" in shown("watch-match", "--limit", "0.3")
     assert "%" in shown("match", "--limit", "2")
-
-
-@pytest.fixture
-def cluster():
-    """A cluster in this process."""
-    from distributed import LocalCluster
-
-    with LocalCluster(
-        n_workers=0,
-        threads_per_worker=1,
-        processes=False,
-        protocol="tcp://",
-        dashboard_address=None,
-        silence_logs=logging.CRITICAL,
-    ) as cluster:
-        yield cluster
 
 
 @pytest.mark.slow

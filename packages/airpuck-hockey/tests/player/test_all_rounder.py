@@ -5,11 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airpuck import InputError
-from airpuck.control.reference import SetPoint
+from airpuck import InputError, SetPoint
 from airpuck.planning.minimal_time import MinimalTimes
-from airpuck_hockey.player.all_rounder import AllRounder, Strategy
-from airpuck_hockey.player.tactic import Intention
+from airpuck_hockey import AllRounder, Intention
+from airpuck_hockey.player.all_rounder import Strategy
 from apparatus.situations import PITCH, PLAY, TIMES, decided, later, view_of
 
 

@@ -6,10 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airpuck.control.reference import Rendezvous, SetPoint
-from airpuck.physics.puck import PuckState
+from airpuck import PuckState, Rendezvous, SetPoint
 from airpuck.physics.puck_on_table import PuckOnTable
-from airpuck_hockey.player.all_rounder import AllRounder
+from airpuck_hockey import AllRounder
 from airpuck_hockey.player.defence import Blind, Defend, Wait, block
 from airpuck_hockey.player.interception import Outlook, slack
 from apparatus.situations import (

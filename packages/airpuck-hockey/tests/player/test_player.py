@@ -9,27 +9,16 @@ import pytest
 
 import airpuck
 import airpuck_hockey
-from airpuck.boundary.errors import InputError
-from airpuck.control.reference import Rendezvous, SetPoint, asked, preview
-from airpuck.craft.table import AirHockey
-from airpuck.data.measurement import Measurement
+from airpuck import AirHockey, InputError, Measurement, PuckState, Rendezvous, SetPoint, Twin
+from airpuck.control.reference import asked, preview
 from airpuck.flight.loop import control
 from airpuck.model.model_file import nominal_model, read_model
-from airpuck.physics.puck import PuckState
 from airpuck.planning.minimal_time import craft_of, read_minimal_times
 from airpuck.twin.plant import build_plant
 from airpuck.twin.settings import default_twin_settings
-from airpuck.twin.twin import Twin
-from airpuck_hockey.player.player import (
-    LEVELS,
-    Level,
-    Player,
-    check_player,
-    pitch_of,
-    slower,
-    weakened,
-)
-from airpuck_hockey.player.tactic import Frame, Intention
+from airpuck_hockey import Intention, Level, Player
+from airpuck_hockey.player.player import LEVELS, check_player, pitch_of, slower, weakened
+from airpuck_hockey.player.tactic import Frame
 from tests.apparatus.models import scaled
 
 MODEL, PLAY = read_model("paper:M3"), AirHockey()

@@ -6,15 +6,14 @@ import re
 import numpy as np
 import pytest
 
-from airpuck.boundary.errors import InputError
-from airpuck.craft.table import AirHockey, Contact, Puck, Table
+from airpuck import AirHockey, InputError, PuckState, Recording, Stream, Table, Twin
+from airpuck.craft.table import Contact, Puck
 from airpuck.model.model_file import published_model
-from airpuck.physics.puck import PuckState
 from airpuck.physics.puck_on_table import PuckOnTable
-from airpuck.recording.stream import COLUMNS, Recording, Stream
-from airpuck.twin.twin import Twin
+from airpuck.recording.stream import COLUMNS
 from airpuck_hockey.puck.flights import find_flights, noise_of
 from airpuck_hockey.puck.identification import identify_puck, value_of
+from tests.apparatus.changes import changed
 
 TRUTH = Puck(
     drag_1_s=0.13,
@@ -44,10 +43,8 @@ def recorded(truth, seed, seconds=20.0, *, scatter=0.0, dropped=0.02, wrong=0.0,
         puck.run(t)
         if scatter and len(puck.touches) > touches:
             touches = len(puck.touches)
-            rail = truth.rail.model_copy(
-                update={"restitution": truth.rail.restitution + scatter * rng.normal()}
-            )
-            other = AirHockey(puck=truth.model_copy(update={"rail": rail}))
+            rail = {"restitution": truth.rail.restitution + scatter * rng.normal()}
+            other = AirHockey(puck=changed(truth, rail=rail))
             puck = PuckOnTable(other, puck.state, t)
             touches = 0
         if puck.goal or k % 480 == 0:

@@ -20,6 +20,7 @@ from airpuck_hockey.puck.prediction import (
     predict_puck,
 )
 from airpuck_hockey.puck.puck_filter import PuckFilter, PuckNoise
+from tests.apparatus.changes import changed
 
 
 def learned(true: Puck, bounces: int = 4, learns: bool = True) -> PuckFilter:
@@ -177,17 +178,15 @@ def test_bands_of_predictions_over_bounces_hold_what_they_should():
     names = ("drag_1_s", "spin_drag_1_s")
     for _ in range(60):
         puck = Puck()
-        rail = puck.rail.model_copy(
-            update={
-                "restitution": puck.rail.restitution + 0.03 * rng.normal(),
-                "grip": puck.rail.grip + 0.1 * rng.normal(),
-            }
-        )
+        rail = {
+            "restitution": puck.rail.restitution + 0.03 * rng.normal(),
+            "grip": puck.rail.grip + 0.1 * rng.normal(),
+        }
         off = {
             name: max(getattr(puck, name) + spread * rng.normal(), 0)
             for name, spread in zip(names, (0.05, 0.1), strict=True)
         }
-        truth = AirHockey(puck=puck.model_copy(update={**off, "rail": rail}))
+        truth = AirHockey(puck=changed(puck, **off, rail=rail))
         flown, found = PuckOnTable(truth, shot(rng)), PuckFilter(PLAY)
         watched(found, flown, 0.2, rng)
         prediction = found.predict([0.45, 0.7])

@@ -1,7 +1,5 @@
 """The page of a game on the graph; the test plays the page server and the table."""
 
-from __future__ import annotations
-
 import json
 import math
 import multiprocessing
@@ -13,9 +11,7 @@ import numpy as np
 import pytest
 
 import airpuck
-from airpuck.control.law import Step
-from airpuck.craft.table import AirHockey
-from airpuck.data.measurement import Measurement
+from airpuck import AirHockey, Measurement, Step
 from airpuck.flight.loop import Action
 from airpuck.live.graph import SENSOR, Graph
 from airpuck.live.process import Process
@@ -24,9 +20,9 @@ from airpuck.recording.message import StreamCodec
 from airpuck.web.page import Pages
 from airpuck.web.requests import Wish, packed_wish
 from airpuck.web.server import EVENT, ORDER, SCENE, STATE, THOUGHT, WISH
+from airpuck_hockey import Player
 from airpuck_hockey.game.rules import Ruling
 from airpuck_hockey.game.scorekeeper import Score
-from airpuck_hockey.player.player import Player
 from airpuck_hockey.web.live_page import LivePage
 
 pytestmark = pytest.mark.slow
@@ -100,17 +96,14 @@ def flight(domain, player):
 
 
 class Table:
-    """A table whose mallet a page may move."""
+    """A table whose mallet a page may move, or a recorder of where a page wants it."""
 
-    def __init__(self, domain: int, *, guided: bool) -> None:
+    def __init__(self, domain: int, *, sees: bool = True, guided: bool = False) -> None:
         self.graph, self._codec = Graph("table", domain=domain), StreamCodec("mallet_target")
-        codec = self._codec
-        self.graph.publisher("/optitrack/mallet/pose", codec.msgtype, codec.types, SENSOR)
-        self._heard = None
-        if guided:
-            self._heard = self.graph.subscription(
-                "/mallet/target", codec.msgtype, codec.types, SENSOR
-            )
+        kind = self._codec.msgtype, self._codec.types, SENSOR
+        if sees:
+            self.graph.publisher("/optitrack/mallet/pose", *kind)
+        self._heard = self.graph.subscription("/mallet/target", *kind) if guided else None
 
     def wanted(self) -> list:
         """Return the page's targets for the mallet since the last call."""
@@ -204,12 +197,7 @@ def test_who_sits_at_a_page_moves_a_mallet_that_is_guided(flight, domain):
 
 def test_pages_only_show_where_the_human_is_at_the_table(flight, domain):
     """A recorder receives everything, but sends no poses of a mallet."""
-    table, recorder = Table(domain, guided=False), Table.__new__(Table)
-    recorder.graph, recorder._codec = Graph("recorder", domain=domain), StreamCodec("mallet_target")
-    codec = recorder._codec
-    recorder._heard = recorder.graph.subscription(
-        "/mallet/target", codec.msgtype, codec.types, SENSOR
-    )
+    table, recorder = Table(domain), Table(domain, sees=False, guided=True)
     try:
         flight.ask("sit")
         graph = flight.process.graph

@@ -1,7 +1,5 @@
 """The page of a game in a real browser; only the last test plays a real game."""
 
-from __future__ import annotations
-
 import io
 import json
 import math
@@ -11,6 +9,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -94,14 +93,15 @@ def browser(chromium) -> Iterator[Any]:
         browser.close()
 
 
+def greeting(say=hello_of) -> dict[str, Any]:
+    return say(airpuck.read_model("paper:M3"), default_twin_settings())
+
+
 @pytest.fixture
 def arena() -> Iterator[Arena]:
     """A server."""
-    made = Arena(hello_of(airpuck.read_model("paper:M3"), default_twin_settings()), page=GAME_PAGE)
-    try:
+    with closing(Arena(greeting(), page=GAME_PAGE)) as made:
         yield made
-    finally:
-        made.close()
 
 
 class Page:
@@ -143,6 +143,12 @@ class Page:
             self._state = STATE + packed_state(self._time, 0, False, *places, (0.0,) * 6)
             self.again()
         time.sleep(0.1)
+
+    def calls(self, kind: str, side: int, words: str) -> None:
+        """Report an event, and wait until the page calls it."""
+        event = {"is": "event", "kind": kind, "side": side, "strength": 0.0}
+        self._arena.pipe.send_bytes(EVENT + json.dumps(event).encode())
+        self.until(f"document.getElementById('call').textContent === {json.dumps(words)}")
 
     def again(self) -> None:
         """Send the newest state again."""
@@ -478,13 +484,8 @@ def test_the_second_page_watches_and_may_sit_down(browser, arena):
 @pytest.fixture
 def graph() -> Iterator[Arena]:
     """The server of a game on a graph."""
-    made = Arena(
-        live_hello(airpuck.read_model("paper:M3"), default_twin_settings()), page=GAME_PAGE
-    )
-    try:
+    with closing(Arena(greeting(live_hello), page=GAME_PAGE)) as made:
         yield made
-    finally:
-        made.close()
 
 
 def test_a_game_on_a_graph_cannot_be_paused_and_shows_what_is_seen(browser, graph):
@@ -513,23 +514,17 @@ def test_a_game_on_a_graph_cannot_be_paused_and_shows_what_is_seen(browser, grap
     page.tab.mouse.move(*page.pixel(0.4, 0.2))
     _, (_, x, y, _) = graph.heard()
     assert (x, y) == pytest.approx((0.4, 0.2), abs=0.004)
-    for kind, side, words in (
-        ("goal", 1, "Goal!"),
-        ("over", 1, "You win"),
-        ("foul", -1, "Foul: puck on its side for 15 s"),
-        ("stuck", 0, "Stuck puck: new serve"),
-    ):
-        event = {"is": "event", "kind": kind, "side": side, "strength": 0.0}
-        graph.pipe.send_bytes(EVENT + json.dumps(event).encode())
-        page.until(f"document.getElementById('call').textContent === {json.dumps(words)}")
+    page.calls("goal", 1, "Goal!")
+    page.calls("over", 1, "You win")
+    page.calls("foul", -1, "Foul: puck on its side for 15 s")
+    page.calls("stuck", 0, "Stuck puck: new serve")
     assert page.errors == []
 
 
 @pytest.mark.parametrize("kinds", [("craft", "craft"), ("hand", "craft"), ("hand", "hand")])
 def test_a_match_shows_what_plays_on_either_side(browser, kinds):
-    hello = live_hello(airpuck.read_model("paper:M3"), default_twin_settings())
-    arena = Arena(hello | {"names": ["one.py:A", "other"], "sides": kinds}, page=GAME_PAGE)
-    try:
+    hello = greeting(live_hello) | {"names": ["one.py:A", "other"], "sides": kinds}
+    with closing(Arena(hello, page=GAME_PAGE)) as arena:
         page = Page(browser, arena, viewport={"width": 1280, "height": 720})
         page.status("watch", (1, 0))
         page.show(mallet=(0.8, -0.1), craft=(-0.8, 0.1, 0.0))
@@ -537,17 +532,10 @@ def test_a_match_shows_what_plays_on_either_side(browser, kinds):
         left, right = (white if kind == "craft" else None for kind in kinds)
         np.testing.assert_allclose(page.color(-0.8, 0.1), left or blue, atol=12)
         np.testing.assert_allclose(page.color(0.8, -0.1), right or VERMILLION, atol=12)
-        for kind, side, words in (
-            ("over", -1, "one.py:A wins"),
-            ("over", 0, "A draw"),
-            ("foul", 1, "Foul: puck on other's side for 15 s"),
-        ):
-            event = {"is": "event", "kind": kind, "side": side, "strength": 0.0}
-            arena.pipe.send_bytes(EVENT + json.dumps(event).encode())
-            page.until(f"document.getElementById('call').textContent === {json.dumps(words)}")
+        page.calls("over", -1, "one.py:A wins")
+        page.calls("over", 0, "A draw")
+        page.calls("foul", 1, "Foul: puck on other's side for 15 s")
         assert page.errors == []
-    finally:
-        arena.close()
 
 
 def test_a_page_says_that_the_game_has_gone(browser, arena):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import json
 import math
@@ -10,6 +11,7 @@ import struct
 import threading
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -93,17 +95,22 @@ class Table:
         return [one["phase"] for one in self.news if one["is"] == "status"]
 
 
+@contextlib.contextmanager
+def session(level: str, tactic: str | None = None, record: Path | None = None) -> Iterator[Table]:
+    """A session at a table of its own."""
+    near, far = multiprocessing.Pipe()
+    model, settings = airpuck.read_model("paper:M3"), default_twin_settings()
+    yield Table(Session(Pages(near), model, settings, level, 0, tactic, record), far)
+    near.close()
+    far.close()
+
+
 @pytest.fixture(scope="module")
 def table() -> Iterator[Table]:
     """One session for all tests, since making a player takes a while; each starts a new game."""
-    near, far = multiprocessing.Pipe()
     pytest.MonkeyPatch().setattr(session_module, "prioritize", lambda **_: None)
-    session = Session(
-        Pages(near), airpuck.read_model("paper:M3"), default_twin_settings(), "medium", 0
-    )
-    yield Table(session, far)
-    near.close()
-    far.close()
+    with session("medium") as table:
+        yield table
 
 
 @pytest.fixture
@@ -184,21 +191,18 @@ def test_a_level_begins_a_new_game(begun):
 
 
 def test_games_are_recorded_with_their_players(tmp_path):
-    near, far = multiprocessing.Pipe()
-    model, settings = airpuck.read_model("paper:M3"), default_twin_settings()
-    session = Session(Pages(near), model, settings, "easy", 0, record=tmp_path)
-    table = Table(session, far)
-    table.order("sit")
-    table.order("go")
-    table.wish(1, 0.3, 0.35)
-    table.run(0.5)  # ends a game
-    names = {"left": "airpuck:easy", "right": "you", "written_by": "airpuck"}
-    recording = airpuck.read_recording(tmp_path / "game-1", needs=("mallet", "puck", "pose"))
-    assert recording.about == names
-    target, place = np.array([0.3, 0.35]), recording["mallet"].values[:, :2]
-    assert np.hypot(*(place[-1] - target)) < np.hypot(*(place[0] - target)) - 0.1
-    table.order("level", level="hard")  # saves the previous game; no player starts another
-    table.run(0.2)
+    with session("easy", record=tmp_path) as table:
+        table.order("sit")
+        table.order("go")
+        table.wish(1, 0.3, 0.35)
+        table.run(0.5)  # ends a game
+        names = {"left": "airpuck:easy", "right": "you", "written_by": "airpuck"}
+        recording = airpuck.read_recording(tmp_path / "game-1", needs=("mallet", "puck", "pose"))
+        assert recording.about == names
+        target, place = np.array([0.3, 0.35]), recording["mallet"].values[:, :2]
+        assert np.hypot(*(place[-1] - target)) < np.hypot(*(place[0] - target)) - 0.1
+        table.order("level", level="hard")  # saves the previous game; no player starts another
+        table.run(0.2)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["game-1", "game-2"]
 
 
@@ -209,15 +213,11 @@ def test_a_game_is_recorded_even_if_the_tactic_fails(tmp_path):
         "        assert view.time < 0.4\n"
         '        return airpuck_hockey.Intention("home", airpuck.SetPoint(*view.pitch.home, 0.0))\n'
     )
-    near, far = multiprocessing.Pipe()
-    model, settings = airpuck.read_model("paper:M3"), default_twin_settings()
-    table = Table(
-        Session(Pages(near), model, settings, "easy", 0, f"{tactic}:Late", tmp_path / "games"), far
-    )
-    table.order("sit")
-    table.order("go")
-    with pytest.raises(InputError, match="tactic: line 7: decide"):
-        table.run(1.0)
+    with session("easy", f"{tactic}:Late", tmp_path / "games") as table:
+        table.order("sit")
+        table.order("go")
+        with pytest.raises(InputError, match="tactic: line 7: decide"):
+            table.run(1.0)
     recording = airpuck.read_recording(tmp_path / "games" / "game-1", needs=("mallet", "game"))
     assert 0.3 < np.ptp(recording["mallet"].stamp_ns) / 1e9 < 0.6
 
@@ -315,12 +315,9 @@ def test_of_orders_that_wait_for_a_new_game_the_last_counts(begun):
 
 
 def test_the_session_ends_with_the_page_server_and_keeps_its_figures():
-    near, far = multiprocessing.Pipe()
-    session = Session(
-        Pages(near), airpuck.read_model("paper:M3"), default_twin_settings(), "hard", 0
-    )
-    far.close()
-    figures = session.run(60.0)
+    with session("hard") as table:
+        table.pipe.close()
+        figures = table.session.run(60.0)
     assert figures["page_server_ended"]
     assert figures["duration_s"] < 1.0
     assert figures["score"] == [0, 0]

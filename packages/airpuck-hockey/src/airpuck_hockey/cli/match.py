@@ -26,7 +26,6 @@ from airpuck.extend import (
     console,
     numbers,
     options,
-    read_belief,
     report,
     say,
     show_time_left,
@@ -47,7 +46,7 @@ def read_player(name: str) -> airpuck.Model:
     from airpuck.extend import minimal_times_of
     from airpuck_hockey.player.player import check_player
 
-    model = read_belief(name)
+    model = options.read_belief(name)
     with about(name):
         check_player(model)
     with ExitStack() as stack:
@@ -103,7 +102,7 @@ def read_craft(model: str, players: Sequence[str]) -> Model:
         return read_player(model)
     if model != Pairing.model:
         raise InputError("has no effect: all players are hands; leave it out", field="--model")
-    return read_belief(model)
+    return options.read_belief(model)
 
 
 @command("Air hockey")

@@ -14,8 +14,6 @@ import numpy as np
 
 from airpuck import InputError
 from airpuck.extend import (
-    ROW,
-    Environments,
     ModelSource,
     Observation,
     PilotPolicy,
@@ -40,7 +38,7 @@ from airpuck_hockey.game.skills import (
 from airpuck_hockey.player.player import Player
 
 #: Environments by name; see `airpuck.export.gym.register`.
-ENVIRONMENTS: Environments = {
+ENVIRONMENTS = {
     name.capitalize(): ("airpuck_hockey.export.gym:PuckEnv", None, {"skill": name})
     for name in SKILLS
 }
@@ -105,9 +103,9 @@ class PuckEnv(TwinEnv):
         super().reset(seed=seed)
         puck, _, number = opening(self._stage, self.skill, self.np_random)
         self._twin = self._stage.twin(puck, number)
-        self._seen.begin(ROW, "pose", self._twin.state[None, :3])
+        self._seen.begin("pose", self._twin.state[None, :3])
         start = np.array([puck])
-        self._seen.begin(ROW, "puck", start[:, :3], start[:, 3:])
+        self._seen.begin("puck", start[:, :3], start[:, 3:])
         return self._observation(), {"is_success": False}
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:

@@ -8,12 +8,8 @@ import numpy as np
 
 from airpuck import InputError, Measurement, Pilot, Step
 from airpuck.extend import (
-    ALL,
     BLUE,
     RED,
-    ROW,
-    SEEDS,
-    WHITE,
     DrawnDisc,
     MeasurementKind,
     ModelSource,
@@ -32,6 +28,7 @@ from airpuck.extend import (
 from airpuck_hockey.game.contestant import Contestant
 from airpuck_hockey.game.game import Game
 from airpuck_hockey.game.rules import Rules
+from airpuck_hockey.game.skills import SEEDS
 from airpuck_hockey.player.player import Player
 
 try:
@@ -142,7 +139,7 @@ class GameEnv(ParallelEnv[str, Observation, np.ndarray]):
             offset = self.settings.motion_capture.clock_offset_s
             seen = self._seen[name] = Seen(1, space, _BODIES, offset)
             for body, pose in zip(_BODIES, (own, puck, other), strict=True):
-                seen.begin(ROW, body, self._frame(name).states(pose)[None])
+                seen.begin(body, self._frame(name).states(pose)[None])
         return self._observations(), {name: {} for name in _SIDES}
 
     def step(self, actions: dict[str, Any]) -> tuple[Any, Any, Any, Any, Any]:
@@ -157,7 +154,7 @@ class GameEnv(ParallelEnv[str, Observation, np.ndarray]):
             commands[name] = checked_action(actions[name], self._pilots[name].command.shape)
         for name, command in commands.items():
             self._pilots[name].command = command
-            self._seen[name].command(ALL, command[None])
+            self._seen[name].command(command[None])
         before, game = self.game.score, self.game
         game.step()
         for name, side in zip(playing, game.sides, strict=True):
@@ -183,7 +180,7 @@ class GameEnv(ParallelEnv[str, Observation, np.ndarray]):
             return None
         radius = self.model.vehicle.radius_m
         craft = [
-            DrawnDisc(side.state[:3], radius, color, WHITE)
+            DrawnDisc(side.state[:3], radius, color)
             for side, color in zip(self.game.sides, (BLUE, RED), strict=True)
         ]
         return picture(self.settings.table, [*drawn_puck(self.game.puck, self.settings), *craft])

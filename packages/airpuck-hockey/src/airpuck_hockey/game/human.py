@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from airpuck import Twin
-from airpuck.extend import COORDINATE, Inbox, Process
+from airpuck.extend import Inbox, Process, numbers
 from airpuck_hockey.game.game import Side, serve
 from airpuck_hockey.game.hand import HUMANS, GuidedHand, ScriptedHand
 from airpuck_hockey.game.rules import Referee, Rules
@@ -62,7 +62,7 @@ class Human:
     def _follow(self, now: float) -> None:
         """Store the mallet's target; old or non-finite targets are ignored."""
         for stamp, (x, y, _) in self.targets.take() if self.targets else ():
-            if not (abs(x) <= COORDINATE.high and abs(y) <= COORDINATE.high):
+            if not (abs(x) <= numbers.COORDINATE.high and abs(y) <= numbers.COORDINATE.high):
                 text = "rejected a position of the mallet that is far from the table"
                 self._events.log("warning", text)
             elif now - stamp < _HOLDS:

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck import AirHockey, Measurement, Pilot, PuckState
-from airpuck.extend import PAUSE, Action, Process
+from airpuck.extend import Action, Process, numbers
 from airpuck_hockey.game.rules import Referee, Rules, Ruling
 from airpuck_hockey.puck.prediction import goal_within
 from airpuck_hockey.puck.puck_filter import PuckFilter
@@ -76,7 +76,7 @@ class Scorekeeper:
     def __init__(self, equipment: AirHockey, rules: Rules | None = None) -> None:
         # The person who puts the puck back decides when.
         self._equipment = equipment
-        self._rules = replace(rules or Rules(), pause_s=PAUSE.high, limit_s=None)
+        self._rules = replace(rules or Rules(), pause_s=numbers.PAUSE.high, limit_s=None)
         self._filter = PuckFilter(equipment)
         self._line = equipment.table.length_m / 2
         self.games = 1

@@ -49,7 +49,7 @@ _FROM_RAIL, _FROM_CRAFT = 0.002, 0.01
 #: Just beyond the next bounce [s]: a puck on the rail would meet the rail again.
 _BEYOND = 1e-8
 #: Seeds lie below this.
-_SEEDS = 2**31
+SEEDS = 2**31
 #: Time limit of an episode [s].
 LONGEST = 10.0
 #: A puck slower than this is under control [m/s].
@@ -191,7 +191,7 @@ def opening(stage: Stage, name: SkillName, rng: np.random.Generator) -> tuple[Pu
     for _ in range(_DRAWS):
         puck = draw(stage, rng)
         if suits(stage, puck):
-            return puck, int(rng.integers(_SEEDS)), int(rng.integers(_SEEDS))
+            return puck, int(rng.integers(SEEDS)), int(rng.integers(SEEDS))
     raise _no_room(f"for {what}")
 
 

@@ -32,12 +32,9 @@ from airpuck.extend import (
     compute,
     default_twin_settings,
     dispatch,
+    fingerprints,
     low_latency,
     numbers,
-    of_code,
-    of_file,
-    of_recording,
-    usable_cores,
     wilson_interval,
 )
 from airpuck_hockey.game.contestant import PLAYERS as KINDS
@@ -54,7 +51,11 @@ _DRAWN = 21
 class Match(Item):
     """One game of air hockey between two players."""
 
-    SOURCES: ClassVar = {"left": of_code, "right": of_code, "model": of_file}
+    SOURCES: ClassVar = {
+        "left": fingerprints.of_code,
+        "right": fingerprints.of_code,
+        "model": fingerprints.of_file,
+    }
     PACKAGED: ClassVar = ("paper", *KINDS)
 
     #: Players; see `airpuck_hockey.game.contestant.contestant`.
@@ -85,7 +86,7 @@ class Match(Item):
         """Hash the bag; see `Item.written`."""
         if self.bag is None:
             return None
-        return of_recording(self.bag) if Path(self.bag).exists() else ""
+        return fingerprints.of_recording(self.bag) if Path(self.bag).exists() else ""
 
     def run(self) -> list[Row]:
         """Play; see `Item.run`."""
@@ -292,9 +293,7 @@ def played(
     with ExitStack() as stack:
         folder = Path(output or stack.enter_context(tempfile.TemporaryDirectory()))
         entries = list(_entries(games, folder if output and bags else None))
-        where = checked_workers(workers)
-        if not isinstance(where, str):
-            where = min(where or usable_cores(), len(games))
+        where = checked_workers(workers, len(games))
         work = _here if where == 1 else partial(dispatch, workers=where)
         try:
             done = completed(entries, folder, work, retry=True, progress=progress)

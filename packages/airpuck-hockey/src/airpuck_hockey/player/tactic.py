@@ -17,10 +17,10 @@ from airpuck import AirHockey, InputError, PuckState
 from airpuck.extend import (
     MinimalTimes,
     Preview,
-    Range,
     Reference,
     Target,
     asked,
+    numbers,
     numbers_of,
     preview,
     unknown,
@@ -96,7 +96,7 @@ class TurnedReference:
 #: Kinds of actions of a craft.
 ActionKind = Literal["defend", "clear", "strike", "bank", "prepare", "home", "free", "wait"]
 _KINDS = get_args(ActionKind)
-_CHANCE = Range(0, 1, "it is a probability")
+_CHANCE = numbers.Range(0, 1, "it is a probability")
 
 
 @dataclass(frozen=True, eq=False)

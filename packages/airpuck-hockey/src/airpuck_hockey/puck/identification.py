@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck import AirHockey, InputError, Recording, Vehicle, default_vehicle
-from airpuck.extend import SECOND_NS, Contact, Disc, Puck, Result, strike
+from airpuck.extend import Contact, Disc, Puck, Result, strike
 from airpuck_hockey.puck.flights import Flight, Line, find_flights, fit_flights, noise_of
 
 #: At a contact, the paths before and after meet this near to a rail or a body [m].
@@ -39,6 +39,8 @@ _TOO_LITTLE = "the puck barely moves; record a few seconds of shots and bounces"
 _TELL = {"grip": "grip", "friction": "slide along the rail", "restitution": "were found"}
 #: Largest standard errors with which a number counts as identified.
 _WORST = {"grip": 0.2, "friction": 0.15, "drag": 0.2}
+#: A second [ns].
+_SECOND = 10**9
 
 
 @dataclass(frozen=True, eq=False)
@@ -252,7 +254,7 @@ def seen_poses(
     hidden.
     """
     logged = recording[stream]
-    time = (logged.stamp_ns - recording["puck"].stamp_ns[0]) / SECOND_NS
+    time = (logged.stamp_ns - recording["puck"].stamp_ns[0]) / _SECOND
     columns = slice(2) if np.isnan(logged.values[:, 2]).all() else slice(3)
     kept = np.isfinite(logged.values[:, columns]).all(axis=1)
     time, index = np.unique(time[kept], return_index=True)

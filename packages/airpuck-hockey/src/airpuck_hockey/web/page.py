@@ -18,7 +18,6 @@ from airpuck.extend import (
     Pages,
     TokenBucket,
     default_twin_settings,
-    hockey_shape,
     invite,
     low_latency,
     packed_state,
@@ -54,8 +53,7 @@ _INTENTIONS = {
 def hello_of(model: Model, equipment: AirHockey) -> dict[str, Any]:
     """Return the data that a page needs before it can show anything."""
     mallet, rules = equipment.mallet, Rules()
-    return table_of(model, equipment.table) | {
-        "hockey": hockey_shape(equipment),
+    return table_of(model, equipment.table, equipment) | {
         "mallet": {"speed": mallet.speed_m_s, "acceleration": mallet.acceleration_m_s2},
         "period": PERIOD,
         "names": ["airpuck", "you"],

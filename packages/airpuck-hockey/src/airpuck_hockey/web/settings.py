@@ -47,6 +47,6 @@ class ArenaSettings(Settings):
     @property
     def host(self) -> str:
         """Address to serve at."""
-        from airpuck.extend import LOOPBACK, address_of
+        from airpuck.extend import address_of
 
-        return LOOPBACK if self.interface is None else address_of(self.interface)
+        return address_of(self.interface)
