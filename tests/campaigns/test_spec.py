@@ -60,7 +60,7 @@ def test_a_recovery_takes_the_settings_of_an_excitation(spec):
     text = 'kind = "recovery"\n[base]\nduration_s = 20.0\namplitude = [1.0, 0.5, 0.5]\nmargin_m = '
     (entry,) = read_spec(spec(f"{text}0.1\n"))
     assert (entry.item.margin_m, entry.item.amplitude) == (0.1, (1.0, 0.5, 0.5))
-    with pytest.raises(InputError, match=r"margin_m: must be from 0 to 1 m"):
+    with rejected("margin_m: must be from 0 to 1 m"):
         read_spec(spec(f"{text}2.0\n"))
 
 
