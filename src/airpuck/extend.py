@@ -24,7 +24,7 @@ Puck and discs
     Contact, Puck, Disc, coast, sigma_of, strike, time_of, walls_of, PuckOnTable, Touch,
     PUCK_NUMBERS, puck_paths
 Twin and flight loop
-    Craft, Plant, build_plant, HandMallet, World, radio_delay, SensorSet, log_stream, pose_sensor,
+    Craft, Plant, build_plant, HandMallet, World, SensorSet, log_stream, pose_sensor,
     default_twin_settings, check_seed, Action, control, Clock, Every, Histogram, TokenBucket,
     MeasurementKind, COLUMNS
 Processes on a ROS 2 graph

@@ -81,7 +81,6 @@ from airpuck.physics.puck_on_table import PUCK_NUMBERS as PUCK_NUMBERS, puck_pat
 from airpuck.twin.craft import Craft as Craft
 from airpuck.twin.plant import Plant as Plant, build_plant as build_plant
 from airpuck.twin.play import HandMallet as HandMallet, World as World
-from airpuck.twin.radio import radio_delay as radio_delay
 from airpuck.twin.sensors import (
     SensorSet as SensorSet,
     log_stream as log_stream,

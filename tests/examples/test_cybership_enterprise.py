@@ -3,6 +3,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 from scipy.io import savemat
 
 import airpuck
@@ -52,3 +53,38 @@ def test_a_thruster_at_the_bow_turns_the_ship_clockwise_when_it_pushes_aside():
     assert effects[1, bow] < 0 and effects[2, bow] < 0
     aside = vehicle.propeller_names.index("port_aside")
     assert effects[1, aside] < 0 < effects[2, aside]
+
+
+def test_the_laboratorys_model_predicts_a_ship_that_obeys_its_equation():
+    """Its equation as in cse1_m.m, solved by SciPy for five seconds of constant commands."""
+    command = np.array([0.6, -0.3, 0.2, 0.4, -0.5])
+    mass = np.array([[14.7, 0, 0], [0, 29.1, 0.523], [0, 0.523, 2.1]])
+    damping = np.array([[0.55, 0, 0], [0, 3.94, 0.1], [0, -1.0, 0.3]])
+    k = command * [1.28, 1.05, 1.28, 1.05, 2.14]
+    turns = 0.055 * (k[0] - k[2]) - 0.425 * (k[1] + k[3]) + 0.415 * k[4]
+    force = [k[0] + k[2], k[1] + k[3] + k[4], turns]
+
+    def world(pose, body):
+        cos, sin = np.cos(pose[2]), np.sin(pose[2])
+        return [cos * body[0] - sin * body[1], sin * body[0] + cos * body[1], body[2]]
+
+    def rates(_, x):
+        return [*world(x[:3], x[3:]), *np.linalg.solve(mass, force - damping @ x[3:])]
+
+    time, start = np.arange(0, 8, 0.05), [0.0, 0.0, 2.0, 0.2, -0.1, 0.1]
+    true = solve_ivp(rates, (0, 8), start, t_eval=time, rtol=1e-9, atol=1e-9).y.T
+    moved = np.array([world(row[:3], row[3:]) for row in true])
+    vehicle = airpuck.read_vehicle(OURS / "vehicle.toml")
+    flight = airpuck.Trajectory(
+        time,
+        np.hstack([true[:, :3], moved]) * [1, -1, -1, 1, -1, -1],
+        np.zeros((len(time), 3)),
+        time,
+        np.tile(np.maximum([command, -command], 0).ravel(), (len(time), 1)),
+        vehicle.propeller_names,
+    )
+    protocol = airpuck.Protocol("ship", encoder_time=1.0).after(5.0)
+    found = airpuck.evaluate(airpuck.nominal_model(vehicle), flight, protocol=protocol)
+    predicted = runpy.run_path(str(CONVERT.with_name("table.py")))["laboratory"](found, flight)
+    assert np.abs(found.errors[-1]).max() > 0.05
+    assert np.abs(predicted.errors).max() < 5e-4

@@ -18,7 +18,6 @@ from airpuck.export.c import coefficients, constant, copy_sources, title, write_
 from airpuck.export.kinds import Subject, refuse_actuators, refuse_settings
 from airpuck.physics.puck import Disc
 from airpuck.twin.plant import build_plant
-from airpuck.twin.radio import radio_delay
 from airpuck.twin.settings import TwinSettings
 
 #: Name of the FMU and of its library.
@@ -113,7 +112,7 @@ def check(subject: Subject) -> None:
 def variables(subject: Subject) -> list[Variable]:
     """List the variables in the order of their value references, integers last."""
     names = subject.model.vehicle.propeller_names
-    twin = subject.twin.with_usual_delay(radio_delay(subject.model))
+    twin = subject.twin.with_usual_delay(subject.model.radio_delay)
     lag = float(subject.model.dynamics.motor_time_constant)
     state = ("x", "y", "yaw", "vx", "vy", "yaw_rate")
     units = ("m", "m", "rad", "m/s", "m/s", "rad/s")

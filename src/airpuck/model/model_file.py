@@ -184,6 +184,11 @@ class Model:
         return float(self.parameters.transport_delay)
 
     @property
+    def radio_delay(self) -> float:
+        """The radio's part of the transport delay: without the actuators' dead time [s]."""
+        return max(self.transport_delay - self.vehicle.actuators.dead_time_s, 0.0)
+
+    @property
     def delay_learned(self) -> bool:
         """Whether the transport delay was learned, as a continuous parameter."""
         return bool(self.free[self.parameters.mask(frozenset({"transport_delay"}))].any())

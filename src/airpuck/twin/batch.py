@@ -24,7 +24,7 @@ from airpuck.physics.puck import Disc
 from airpuck.physics.rigid_body import Dynamics, register_pytrees, wrapped
 from airpuck.recording.stream import Recording, Stream
 from airpuck.twin.plant import LONGEST_STEP, Plant, advance, build_plant, scaled
-from airpuck.twin.radio import heard_commands, radio_delay
+from airpuck.twin.radio import heard_commands
 from airpuck.twin.sensors import log_stream, nanoseconds
 from airpuck.twin.settings import TwinSettings, default_twin_settings
 from airpuck.twin.twin import check_seed
@@ -100,7 +100,7 @@ class TwinBatch(Brief):
         self.rng = rng or np.random.default_rng(0)
         vehicle, n = models[0].vehicle, models[0].vehicle.n_propellers
         self._names = vehicle.propeller_names
-        delays = [settings.with_usual_delay(radio_delay(m)).radio.delay_s or 0.0 for m in models]
+        delays = [settings.with_usual_delay(m.radio_delay).radio.delay_s or 0.0 for m in models]
         self._delays = np.broadcast_to(delays, size)
         self._period, self._rows, self._logs = period, np.arange(size), logs
         self._sent_at = period * np.arange(math.ceil(longest / period - _ROUNDING))

@@ -48,13 +48,8 @@ def queued_delay(settings: Radio, period: float, packets: int = 200_000) -> tupl
 
 def as_received(model: Model, settings: TwinSettings, period: float) -> Model:
     """Return a model with the mean delay of its packets, which is the delay that fits find."""
-    radio = settings.with_usual_delay(radio_delay(model)).radio
+    radio = settings.with_usual_delay(model.radio_delay).radio
     return model.with_delay(queued_delay(radio, period)[0] + model.vehicle.actuators.dead_time_s)
-
-
-def radio_delay(model: Model) -> float:
-    """Return the radio's part of a model's transport delay: without the actuators' dead time."""
-    return max(model.transport_delay - model.vehicle.actuators.dead_time_s, 0.0)
 
 
 class RadioLink:

@@ -32,7 +32,6 @@ from airpuck.flight.loop import fly
 from airpuck.model.model_file import Model
 from airpuck.physics.rigid_body import pose_difference
 from airpuck.twin.plant import build_plant, varied
-from airpuck.twin.radio import radio_delay
 from airpuck.twin.settings import TwinSettings, default_twin_settings
 from airpuck.twin.twin import Twin, check_seed
 
@@ -196,7 +195,7 @@ class _Flights:
         truth = varied(self.model, spread, seed)
         stronger = replace(truth.parameters, thrust=thrust * truth.parameters.thrust)
         truth = replace(truth, parameters=stronger, uncertainty=None)
-        usual = self.settings.with_usual_delay(radio_delay(truth))
+        usual = self.settings.with_usual_delay(truth.radio_delay)
         delay = {"delay_s": (usual.radio.delay_s or 0.0) + later}
         usual = usual.model_copy(update={"radio": usual.radio.model_copy(update=delay)})
         return partial(Twin, truth, usual, seed=seed, plant=build_plant(truth, usual))

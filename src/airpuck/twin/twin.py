@@ -23,7 +23,6 @@ from airpuck.recording.stream import COLUMNS, Recording
 from airpuck.twin.craft import Craft
 from airpuck.twin.plant import Plant, build_plant, scaled
 from airpuck.twin.play import HandMallet, World
-from airpuck.twin.radio import radio_delay
 from airpuck.twin.sensors import SensorSet, build_sensors, log_stream
 from airpuck.twin.settings import TwinSettings, default_twin_settings
 
@@ -95,7 +94,7 @@ class Twin:
         check_seed(seed)
         self.model = model
         self._lowest = np.where(model.vehicle.actuation.two_way, -1.0, 0.0)
-        settings = (settings or default_twin_settings()).with_usual_delay(radio_delay(model))
+        settings = (settings or default_twin_settings()).with_usual_delay(model.radio_delay)
         self.settings = settings
         self.plant = plant or build_plant(model, settings)
         check_pose(pose, settings.table, model.vehicle.radius_m)

@@ -47,17 +47,15 @@ def read_player(name: str) -> airpuck.Model:
     from airpuck_hockey.player.player import check_player
 
     model = options.read_belief(name)
-    with about(name):
+    with ExitStack() as stack, about(name):
         check_player(model)
-    with ExitStack() as stack:
 
         @cache
         def progress() -> Callable[[float, float], None]:  # shown only if there is any work
             words = "planning this craft's shortest times, once"
             return stack.enter_context(show_time_left(words))
 
-        with about(name):
-            times = minimal_times_of(model, lambda done, of: progress()(done, of))
+        times = minimal_times_of(model, lambda done, of: progress()(done, of))
     if times.margin > 0:
         say(
             f"{name}: this craft's shortest times are uncertain by {times.error['p95']:.2f} s; its "

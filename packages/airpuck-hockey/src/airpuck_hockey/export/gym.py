@@ -104,8 +104,7 @@ class PuckEnv(TwinEnv):
         puck, _, number = opening(self._stage, self.skill, self.np_random)
         self._twin = self._stage.twin(puck, number)
         self._seen.begin("pose", self._twin.state[None, :3])
-        start = np.array([puck])
-        self._seen.begin("puck", start[:, :3], start[:, 3:])
+        self._seen.begin("puck", *np.split(np.array([puck]), 2, axis=1))
         return self._observation(), {"is_success": False}
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:

@@ -21,7 +21,6 @@ from airpuck.extend import (
     control,
     default_twin_settings,
     numbers,
-    radio_delay,
     wilson_interval,
 )
 from airpuck_hockey.game.contestant import tactic_maker
@@ -176,7 +175,7 @@ def make_stage(
 ) -> Stage:
     """Return a craft on its table; raise InputError if the table is too small for the skills."""
     settings = settings or default_twin_settings()
-    settings = settings.with_usual_delay(radio_delay(model)).without_on_board()
+    settings = settings.with_usual_delay(model.radio_delay).without_on_board()
     stage = Stage(model, settings, build_plant(model, settings), pitch_of(model, settings), tactic)
     reach, _ = settings.table.reach(stage.pitch.craft_radius)
     if _beside_rail(stage) <= 0 or -stage.pitch.home[0] > reach:

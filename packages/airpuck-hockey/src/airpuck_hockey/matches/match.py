@@ -45,6 +45,8 @@ from airpuck_hockey.game.hand import HANDS
 from airpuck_hockey.game.rules import Rules
 from airpuck_hockey.puck.prediction import drawn_puck
 
+#: Hashes of a player's code and of a file.
+_CODE, _FILE = fingerprints.of_code, fingerprints.of_file
 #: Identifies the table's stream of random numbers; see `airpuck_hockey.game.game`.
 _DRAWN = 21
 
@@ -52,11 +54,7 @@ _DRAWN = 21
 class Match(Item):
     """One game of air hockey between two players."""
 
-    SOURCES: ClassVar = {
-        "left": fingerprints.of_code,
-        "right": fingerprints.of_code,
-        "model": fingerprints.of_file,
-    }
+    SOURCES: ClassVar = {"left": _CODE, "right": _CODE, "model": _FILE}
     PACKAGED: ClassVar = ("paper", *KINDS)
 
     #: Players; see `airpuck_hockey.game.contestant.contestant`.

@@ -39,8 +39,6 @@ _TOO_LITTLE = "the puck barely moves; record a few seconds of shots and bounces"
 _TELL = {"grip": "grip", "friction": "slide along the rail", "restitution": "were found"}
 #: Largest standard errors with which a number counts as identified.
 _WORST = {"grip": 0.2, "friction": 0.15, "drag": 0.2}
-#: A second [ns].
-_SECOND = 10**9
 
 
 @dataclass(frozen=True, eq=False)
@@ -254,7 +252,7 @@ def seen_poses(
     hidden.
     """
     logged = recording[stream]
-    time = (logged.stamp_ns - recording["puck"].stamp_ns[0]) / _SECOND
+    time = (logged.stamp_ns - recording["puck"].stamp_ns[0]) * 1e-9
     columns = slice(2) if np.isnan(logged.values[:, 2]).all() else slice(3)
     kept = np.isfinite(logged.values[:, columns]).all(axis=1)
     time, index = np.unique(time[kept], return_index=True)
