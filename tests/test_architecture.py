@@ -66,7 +66,7 @@ EXAMPLES = TESTS.parent / "examples"
 MOST_LINES = 44_300
 MOST_HOCKEY_LINES = 4_710
 #: Modules and commands of both distributions, and lines of their tests.
-MOST_MODULES, MOST_COMMANDS, MOST_TEST_LINES = 290, 41, 53_800
+MOST_MODULES, MOST_COMMANDS, MOST_TEST_LINES = 290, 41, 54_000
 #: Names in `airpuck.extend`.
 MOST_EXTEND = 115
 
