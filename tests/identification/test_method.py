@@ -12,7 +12,7 @@ from airpuck.craft.vehicle import default_vehicle
 from airpuck.data.windows import make_windows
 from airpuck.estimate.encoder import PaperEncoder
 from airpuck.identification.method import LevenbergMarquardt, SlopeConstraints
-from airpuck.identification.objective import PredictionLoss
+from airpuck.identification.objective import PredictionLoss, Quadratic
 from airpuck.model.model_file import published_model
 from airpuck.model.rungs import RUNGS, named_rung
 from airpuck.physics.thrust import is_monotone, thrust_slope
@@ -98,6 +98,26 @@ def test_a_step_changes_the_lag_at_most_threefold_and_the_last_one_finds_it(fact
     assert np.abs(np.diff(np.log(lags))).max() <= np.log(3) + 1e-9
     found = LevenbergMarquardt().minimize(loss, start, free).parameters
     assert found.motor_time_constant == pytest.approx(lag, rel=0.05)
+
+
+def test_a_lag_without_influence_does_not_hinder_the_other_parameters():
+    start = replace(RUNGS["M3"].initial(VEHICLE), motor_time_constant=2.3e-4)
+    free, begin = RUNGS["M3"].mask(start), start.to_vector()
+    lag = start.mask(frozenset({"motor_time_constant"}))
+    optimum = np.where(lag, 1e8, np.where(free, 1.01 * begin + 1e-4, begin))
+    curvature = np.diag(np.where(lag, 1e-19, 1.0))
+
+    class Bowl(PredictionLoss):
+        def __init__(self):
+            pass  # it needs no windows
+
+        def quadratic(self, parameters):
+            away = parameters.to_vector() - optimum
+            gradient = curvature @ away
+            return Quadratic(np.array([away @ gradient / 2]), gradient[None], curvature[None])
+
+    found = LevenbergMarquardt(monotone=False).minimize(Bowl(), start, free).parameters
+    np.testing.assert_allclose(found.to_vector()[~lag], optimum[~lag], atol=1e-5)
 
 
 @pytest.mark.slow

@@ -172,6 +172,8 @@ _SMALL = 2e-5
 #: Distance from a bound that makes no difference, in units in which the Hessian has a unit
 #: diagonal, and at most this fraction of the range: a short lag seems to have no effect.
 _TOUCHES, _TOUCHES_AT_MOST = 1e-7, 1e-3
+#: Largest unit of a parameter in a step's program, in units of its range.
+_WIDEST = 1e6
 
 
 @dataclass(frozen=True)
@@ -283,12 +285,14 @@ class _StepProgram:
         """Solve min g'd + d'(H + λ diag H)d/2."""
         free, n = self.free, self._n_thrust
         gradient, hessian = here.gradient[free], here.hessian[np.ix_(free, free)]
-        scale = scaling(here.hessian, free)[free]
-        damped = hessian * scale[:, None] * scale + damping * np.eye(len(scale))
         # Far from the optimum a step may end where the lag no longer matters, and stay there.
         lower = np.maximum(self._bounds[0], np.where(self._lag, point / MOST_LAG, -np.inf))
         upper = np.minimum(self._bounds[1], np.where(self._lag, point * MOST_LAG, np.inf))
         lower, upper = (lower - point)[free], (upper - point)[free]
+        # The solver cannot tell the ends of a range that is tiny in units of a weak influence.
+        scale = scaling(here.hessian, free)[free]
+        scale = np.where(upper > lower, np.minimum(scale, _WIDEST * (upper - lower)), scale)
+        damped = hessian * scale[:, None] * scale + damping * np.eye(len(scale))
         step = np.zeros_like(point)
         while True:
             rows = self._slopes.rows()
