@@ -34,7 +34,7 @@ COMMANDS = {
     "track": "track MODEL",
     "race": "race MODEL",
     "plan": "plan MODEL --from -0.5 0 0 --to 0.5 0 0",
-    "excite": "excite --model MODEL --duration 10 -o OUT",
+    "excite": "excite --truth MODEL --duration 10 -o OUT",
     "export": "export MODEL --to c -o OUT",
     "play, until its page answers": "play --no-browser --port PORT",
 }

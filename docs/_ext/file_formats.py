@@ -15,7 +15,7 @@ from sphinx.pycode import ModuleAnalyzer
 
 from airpuck.boundary.files import Section
 from airpuck.boundary.results import plain
-from airpuck.boundary.settings import Settings, declared
+from airpuck.boundary.settings import Setting, Settings, declared
 from airpuck.campaigns.campaign import KINDS, Spec
 from airpuck.control.lqr import LQRSettings
 from airpuck.control.predictive import PredictiveSettings
@@ -143,10 +143,16 @@ def _sections(kind: Any) -> Iterator[type[Section]]:
         yield from _sections(inner)
 
 
+def _setting(schema: type, key: str) -> Setting | None:
+    """Return what a settings class, or a section that inherits from one, declares of a key."""
+    fields = declared(schema) if issubclass(schema, Settings) else ()
+    return next((one.setting for one in fields if one.name == key), None)
+
+
 def _note(schema: type, key: str) -> str:
     """Return what the source says of a key, in a comment `#:` or its class's Attributes."""
-    if issubclass(schema, Settings):
-        return next(one.setting.help for one in declared(schema) if one.name == key)
+    if setting := _setting(schema, key):
+        return setting.help
     if found := attribute_note(schema, key):
         return found
     return next((q.meaning for q in QUANTITIES if key in (q.key, *q.settings)), "")
@@ -175,10 +181,9 @@ def _attributes(holder: type) -> dict[str, list[str]]:
 
 def _values(schema: type, key: str) -> str:
     """Return the type and the range of a key, from its JSON schema or its setting."""
-    if issubclass(schema, Settings):
-        within = next(one.setting.within for one in declared(schema) if one.name == key)
-        if within is not None:
-            return f"{within.low:g} to {within.high:g}"
+    setting = _setting(schema, key)
+    if setting is not None and setting.within is not None:
+        return f"{setting.within.low:g} to {setting.within.high:g}"
     whole = _json_schema(schema)
     return _type(whole["properties"][key], whole.get("$defs", {}))
 

@@ -4,6 +4,8 @@ Data flow::
 
     recording --preprocess--> trajectory --identify--> model --> evaluate, control, twin
 
+Quantities are in SI units and angles in radians, unless their name ends with another unit.
+
 Names by group, of which `help(airpuck.study)` explains one. Each is imported at its first use, so
 that ``import airpuck`` is fast.
 

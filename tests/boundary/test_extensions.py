@@ -1,6 +1,7 @@
 """Other distributions add commands, exports, laws, items and opponents, as a user's would."""
 
 import json
+import pydoc
 import subprocess
 import sys
 import textwrap
@@ -178,11 +179,16 @@ def test_without_air_hockey_its_names_state_what_to_install(installed, words):
 
 
 def test_without_air_hockey_former_names_state_what_to_install():
-    code = "import sys; sys.modules['airpuck_hockey'] = None; import airpuck; airpuck.Game"
-    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    last = ended.stderr.splitlines()[-1]
-    assert last.startswith("AttributeError: airpuck.Game is part of airpuck-hockey")
-    assert last.endswith("pip install airpuck-hockey")
+    code = "import sys; sys.modules['airpuck_hockey'] = None; import airpuck; "
+    code += "from airpuck import control; assert not hasattr(airpuck, 'Game'); "
+    for error, use in (
+        ("AttributeError", "airpuck.Game"),
+        ("ImportError", "from airpuck import Game"),
+    ):
+        ended = subprocess.run([sys.executable, "-c", code + use], capture_output=True, text=True)
+        last = ended.stderr.splitlines()[-1]
+        assert last.startswith(f"{error}: airpuck.Game is part of airpuck-hockey")
+        assert last.endswith("pip install airpuck-hockey")
 
 
 def test_a_campaign_of_games_without_air_hockey_states_what_to_install(installed, tmp_path):
@@ -204,8 +210,39 @@ def test_a_campaign_of_games_without_air_hockey_states_what_to_install(installed
 def test_a_former_name_names_its_replacement(former, now):
     with pytest.raises(AttributeError, match=f"use {now}"):
         getattr(airpuck, former)
+    with pytest.raises(ImportError, match=f"use {now}"):
+        exec(f"from airpuck import {former}")
 
 
 def test_a_former_option_names_its_replacement():
     refused(commands.airpuck("identify", "bag", "--adam", "7"), "--adam", "studies/adam.py")
     refused(commands.airpuck("track", "--regulator", "mpc"), "--regulator", "use --law")
+    refused(commands.airpuck("excite", "--model", "paper:M3"), "--model", "use --truth")
+    refused(commands.airpuck("design", "--check", "3"), "--check", "studies/next_flight.py")
+    refused(commands.airpuck("record", "--mapping", "lab.toml"), "--mapping", "every topic")
+    refused(commands.airpuck("league", "--bags", "anna"), "--bags", "studies/ratings.py")
+    refused(commands.airpuck("play-live", "--model", "m.toml"), "--model", "play-live m.toml")
+
+
+def test_a_former_argument_or_attribute_names_its_replacement():
+    model, tuning = airpuck.read_model("paper:M4"), airpuck.default_tuning()
+    for call in (airpuck.track, airpuck.TrackingController):
+        with pytest.raises(TypeError, match="no argument 'regulator'; did you mean 'law'"):
+            call(model, airpuck.SetPoint(0.0, 0.0, 0.0), regulator="mpc")  # pyright: ignore
+    for former, now in (
+        ("with_regulator", "with_law"),
+        ("regulator", "law"),
+        ("weights", "law.lqr.weights"),
+    ):
+        with pytest.raises(AttributeError, match=rf"^Tuning\.{former} is now {now}$"):
+            getattr(tuning, former)
+    assert not hasattr(tuning, "nonsense")
+
+
+def test_help_shows_no_functions_as_defaults():
+    for name in ("study", "race", "design", "tune", "commission", "animate", "campaign"):
+        shown = pydoc.plain(pydoc.render_doc(getattr(airpuck, name)))
+        assert "<function" not in shown and len(shown.splitlines()[2]) < 1200, name
+    assert "table: 'tuple[float, float] | AirHockey' = AirHockey()" in pydoc.plain(
+        pydoc.render_doc(airpuck.animate)
+    )

@@ -87,7 +87,9 @@ def test_the_short_form_of_a_result_has_units_counts_and_ellipses():
         words: str = "word " * 20
 
     shown = repr(Found(0.0208333, np.zeros((400, 3))))
-    assert shown.startswith("Found(delay_s=0.02083, errors: 400 entries, facts=['short'], words=")
-    assert shown.endswith("word …)") and len(shown) < 130
-    names = ("CMakeLists.txt", "LICENSE", "README.md", "airpuck.c", "airpuck.h")
-    assert "facts: 5 entries" in repr(Found(0.0, np.zeros(0), names))
+    errors = "errors=400×3 values from 0 to 0"
+    assert shown.startswith(f"Found(delay_s=0.02083, {errors}, facts=['short'], words='word")
+    assert len(shown) <= 400
+    many = repr(Found(np.nan, np.ones(3), tuple("abcdefghijkl"), "word " * 200))
+    assert "errors=[1, 1, 1], facts=['a', 'b'" in many and "12 in all]" in many
+    assert many.endswith("word…)") and len(many) <= 400

@@ -62,6 +62,7 @@ def test_only_missing_items_are_computed(here, spec, tmp_path):
     assert states == [(0, 2, 0), (1, 2, 0), (2, 2, 0)]
     again = campaign(spec(2), tmp_path)
     assert again.computed == 0
+    assert "computed=0" in repr(again) and len(repr(again)) <= 400
     for one, other in zip(again.results, first.results, strict=True):
         assert one.rows[0] == pytest.approx(other.rows[0], rel=0, abs=0, nan_ok=True)
     files = sorted((tmp_path / "items").iterdir())

@@ -60,7 +60,7 @@ def test_a_recovery_accepts_the_settings_of_an_excitation(spec):
     text = 'kind = "recovery"\n[base]\nduration_s = 20.0\namplitude = [1.0, 0.5, 0.5]\nmargin_m = '
     (entry,) = read_spec(spec(f"{text}0.1\n"))
     assert (entry.item.margin_m, entry.item.amplitude) == (0.1, (1.0, 0.5, 0.5))
-    with pytest.raises(InputError, match=r"margin_m: must be from 0 to 1 m"):
+    with rejected("margin_m: must be from 0 to 1 m"):
         read_spec(spec(f"{text}2.0\n"))
 
 
@@ -99,6 +99,9 @@ def test_a_setting_given_twice_is_computed_once(spec):
         ('kind = "tracking"\nseeds = -1', ("seeds",)),
         ('kind = "tracking"\nbase.speed = 1', ("speed", "not a known key")),
         ('kind = "tracking"\nbase.seed = 1', ("base.seed", "seeds")),
+        ('kind = "tracking"\nbase.regulator = "mpc"', ("regulator", "now written law")),
+        ('kind = "tracking"\nbase.tuning.weights.yaw = 3.0', ("tuning", "[law.lqr.weights]")),
+        ('kind = "tracking"\n[grid]\n"tuning.regulator.kind" = ["mpc"]', ("tuning", "[law]")),
         ('kind = "tracking"\nbase.dwell_s = "2"', ("dwell_s", "valid number")),
         ('kind = "tracking"\nbase.twin.radio.loss = 2', ("twin", "radio.loss")),
         ('kind = "tracking"\nbase.twin = 2', ("twin", "must be an object")),

@@ -1,5 +1,6 @@
 """The tracking controller with all kinds of wrong input."""
 
+import warnings
 from itertools import count, takewhile
 
 import numpy as np
@@ -7,6 +8,9 @@ import pytest
 
 from airpuck import Fence, InputError, Measurement, SetPoint, Step, TrackingController
 from airpuck.control.allocation import Daqp
+from airpuck.control.law import Law
+from airpuck.control.limits import KeepOut
+from airpuck.control.lqr import LQR
 
 from ..apparatus.closed_loops import FRAME, IDLE, MODEL, NOTHING, controller, hold_still, idles
 
@@ -291,7 +295,7 @@ def test_a_failing_solver_idles_the_motors_until_it_works(monkeypatch):
 
 
 def test_limits_are_checked_when_set_and_kept_at_every_step():
-    ours, fence = controller(), Fence(-0.5, -0.4, 0.5, 0.4)
+    ours, fence = controller(law=Walled), Fence(-0.5, -0.4, 0.5, 0.4)
     for wrong in (fence, None, [(0.0, 0.0, 0.1)]):
         with pytest.raises(InputError, match="limits: must be a list of Fence, KeepOut and"):
             ours.limits = wrong  # pyright: ignore[reportAttributeAccessIssue]
@@ -301,3 +305,30 @@ def test_limits_are_checked_when_set_and_kept_at_every_step():
     assert ours.limits == ()
     ours.limits = (one for one in [fence, Fence(0.0, 0.0, 0.9, 0.9)])
     assert ours.limits == (fence, Fence(0.0, 0.0, 0.9, 0.9))
+
+
+class Walled(Law):
+    """A law of a user that reads the limits of the moment."""
+
+    obeys_limits = True
+
+
+def test_a_law_without_limits_rejects_hard_ones_and_warns_about_soft_ones(tmp_path):
+    hard, soft = Fence(-0.5, -0.3, 0.5, 0.3, hard=True), KeepOut(0.3, 0.0, 0.1)
+    for law in ("lqr", "plan", LQR, Law):
+        refused = r'^limits: are ignored by [a-z ]+; use law="mpc"$'
+        with pytest.raises(InputError, match=refused):
+            controller(law=law, limits=[soft, hard])
+        with pytest.warns(UserWarning, match="limits are ignored by"):
+            ours = controller(law=law, limits=[soft])
+        with pytest.raises(InputError, match=refused):
+            ours.limits = [hard]
+        assert ours.limits == (soft,)
+    (tmp_path / "law.py").write_text(
+        "import airpuck\nclass Mine(airpuck.Law):\n    obeys_limits = True\n"
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for law in ("mpc", Walled, f"{tmp_path}/law.py:Mine"):
+            assert controller(law=law, limits=[hard, soft]).limits == (hard, soft)
+        controller(limits=[])

@@ -70,6 +70,20 @@ def test_a_larger_model_starts_at_the_smaller_models_optimum():
 
 
 @pytest.mark.slow
+def test_a_larger_model_starts_with_a_third_of_the_nominal_lag_and_the_same_curves():
+    flight = fly(published_model("M3"), duration=3.0)
+    simple = module.solved(flight, "M3")
+    loss, outcome, _ = simple.result
+    fast = replace(outcome.parameters, motor_time_constant=1e-6)
+    simple = replace(simple, fitted=(loss, replace(outcome, parameters=fast)))
+    start = simple.enriched(Problem.of(flight, named_rung("M3", degree=4))).problem.start
+    assert start.motor_time_constant == pytest.approx(
+        default_vehicle().nominal.motor_time_constant_s / 3
+    )
+    np.testing.assert_array_equal(start.thrust, np.pad(fast.thrust, [(0, 0), (0, 1)]))
+
+
+@pytest.mark.slow
 def test_two_recordings_are_fitted_jointly():
     truth = with_offset_center(published_model("M3"))
     flights = [fly(truth, duration=6.0, seed=seed) for seed in (1, 2)]

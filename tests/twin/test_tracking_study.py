@@ -139,6 +139,15 @@ def test_comparison_figures_match_single_flights():
     assert found.figures["effort"][0, 0] == flown.results[-1].effort
 
 
+def test_a_law_flies_the_same_given_by_name_class_or_object():
+    points = SetPoints([0.0, 0.1], [(0.0, 0.0, 0.0), (0.1, 0.0, 0.0)])
+    laws = ["lqr", airpuck.LQR, airpuck.LQR(M4, airpuck.default_tuning())]
+    found = compare_controllers(M4, laws, flights=1, dwell=0.3, set_points=points)
+    assert found.laws == ("lqr", "LQR", "LQR")
+    for name, rows in found.figures.items():
+        np.testing.assert_array_equal(rows, np.tile(rows[0], (3, 1)), err_msg=name)
+
+
 def test_file_names_of_flights_distinguish_laws():
     points = SetPoints([0.0, 0.1], [(0.0, 0.0, 0.0)] * 2)
     (flown,) = tracking_study([M4], M4, set_points=points, dwell=0.2, controller="full")
@@ -181,8 +190,11 @@ def test_a_comparison_names_laws_that_did_not_settle():
         ({"flights": -1}, "flights: must be from 1 to 1000"),
         ({"spread": -1}, "spread: must be from 0 to 1"),
         ({"laws": []}, "laws: must name at least one law"),
-        ({"laws": "lqr"}, "laws: must be a sequence of texts, not 'lqr'"),
-        ({"laws": ["lqr", airpuck.LQR]}, "sequence of texts, but contains the class LQR"),
+        ({"laws": "lqr"}, "laws: must be a sequence of a text, a class or Law, not 'lqr'"),
+        (
+            {"laws": ["lqr", 3]},
+            "must be a sequence of a text, a class or Law, but contains 3",
+        ),
     ],
 )
 def test_invalid_comparison_options_are_rejected(options, words):

@@ -12,11 +12,14 @@ from typing import Any, TypeVar
 import numpy as np
 
 from airpuck.boundary.errors import InputError, nearest, unknown
+from airpuck.boundary.results import brief
 from airpuck.boundary.settings import check_value, setting_of
 
 Chosen = TypeVar("Chosen")
 Function = TypeVar("Function", bound=Callable[..., Any])
 Class = TypeVar("Class", bound=type)
+#: Stands for a function among the defaults that `help` shows.
+_DEFAULT = type("Default", (), {"__repr__": lambda _: "..."})()
 
 
 def chosen(name: object, options: Mapping[str, Chosen], field: str) -> Chosen:
@@ -47,6 +50,11 @@ def checked(function: Function, *, finite: bool = True) -> Function:
                 raise InputError("must be finite numbers", field=name)
         return function(*args, **kwargs)
 
+    shown = [
+        one.replace(default=_DEFAULT) if inspect.isfunction(one.default) else one
+        for one in signature.parameters.values()
+    ]
+    boundary.__signature__ = signature.replace(parameters=shown)  # pyright: ignore
     return typing.cast(Function, boundary)
 
 
@@ -65,7 +73,9 @@ def _uncallable(
 
 
 def checked_class(kind: Class, *, finite: bool = True) -> Class:
-    """Make a class reject arguments of its constructor, like `checked`."""
+    """Make a class reject arguments of its constructor, like `checked`, and give it a text."""
+    if kind.__repr__ is object.__repr__:
+        setattr(kind, "__repr__", brief)  # noqa: B010
     kind.__init__ = checked(kind.__init__, finite=finite)
     return kind
 

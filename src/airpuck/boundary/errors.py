@@ -15,6 +15,8 @@ _LONGEST = 2000
 _LISTED = 12
 #: Number of characters shown of a name that is too long.
 _SHOWN = 60
+#: Former names of arguments.
+_FORMER = {"regulator": "law"}
 
 
 class InputError(ValueError):
@@ -129,7 +131,8 @@ def unknown(name: Any, known: Iterable[Any]) -> str:
 
 def nearest(name: Any, known: Iterable[Any]) -> str:
     """Return the end of an error text that suggests the nearest name; empty if none is near."""
-    near = get_close_matches(repr(name), map(repr, known), 1) if isinstance(name, str) else []
+    now = _FORMER.get(name, name) if isinstance(name, str) else ()
+    near = get_close_matches(repr(now), map(repr, known), 1)
     return f"; did you mean {near[0]}?" if near else ""
 
 

@@ -87,15 +87,19 @@ def named(name: str, ours: Mapping[str, Returned], group: Group, **place: Any) -
 
 def moved(name: str, known: Sequence[str]) -> Any:
     """Return a name that moved from `airpuck` to airpuck-hockey; see `HOCKEY`."""
+    # `from airpuck import …` would replace an AttributeError by one without a remedy.
+    imports = sys._getframe(2).f_code.co_name == "_handle_fromlist"
+    told = name in HOCKEY["airpuck"] or name in _FORMER  # others may be modules
+    kind = ImportError if imports and told else AttributeError
     if name not in HOCKEY["airpuck"]:
         remedy = f"; use {_FORMER[name]}" if name in _FORMER else nearest(name, known)
-        raise AttributeError(f"module 'airpuck' has no attribute {name!r}{remedy}")
+        raise kind(f"module 'airpuck' has no attribute {name!r}{remedy}")
     try:
         return getattr(importlib.import_module("airpuck_hockey"), name)
     except ModuleNotFoundError as error:
         if error.name != "airpuck_hockey":
             raise
-        raise AttributeError(_needs_hockey(f"airpuck.{name}")) from None
+        raise kind(_needs_hockey(f"airpuck.{name}")) from None
 
 
 def _needs_hockey(name: str) -> str:

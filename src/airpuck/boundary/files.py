@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 from difflib import get_close_matches
 from functools import cache
 from importlib import resources
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, TypeVar
 
 import pydantic
 
@@ -28,6 +28,7 @@ from airpuck.boundary.limits import (
 )
 from airpuck.boundary.numbers import check_size
 from airpuck.boundary.outputs import replacing
+from airpuck.boundary.results import brief
 
 _PART = r"""(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')"""
 #: A name with too many dotted parts; tomllib's time grows with the square of their number.
@@ -108,6 +109,9 @@ class Section(pydantic.BaseModel):
     """Base of every table in our TOML files: immutable; an unknown key is an error."""
 
     model_config = pydantic.ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    #: Former keys and attributes, and where each stands now.
+    MOVED: ClassVar[Mapping[str, str]] = {}
+    __repr__ = __str__ = brief
 
     if not TYPE_CHECKING:  # type checkers derive the arguments from the fields
 
@@ -119,6 +123,11 @@ class Section(pydantic.BaseModel):
 
         # Of nested tables, pydantic reports the place itself.
         __init__.__pydantic_base_init__ = True
+
+        def __getattr__(self, name: str) -> Any:
+            if now := self.MOVED.get(name):
+                raise AttributeError(f"{type(self).__name__}.{name} is now {now.strip('[]')}")
+            return super().__getattr__(name)
 
     @pydantic.model_validator(mode="after")
     def _of_this_world(self) -> Section:
@@ -228,9 +237,11 @@ def _explained(
     if first["type"] in _UNKNOWN and file is not None and (kinds := _other_kind(content, known[0])):
         field, problem = "", "is {}; expected {}".format(*kinds)
     elif first["type"] in _UNKNOWN:
-        near = get_close_matches(str(first["loc"][-1]), set().union(*known), 1)
+        key = str(first["loc"][-1])
+        near = get_close_matches(key, set().union(*known), 1)
         hint = f"did you mean {near[0]}?" if near else "check its spelling"
-        problem = f"is not a known key; {hint}"
+        now = getattr(schema, "MOVED", {}).get(key)
+        problem = f"is now written {now}" if now else f"is not a known key; {hint}"
     elif first["type"] == "missing":
         problem = "is required but missing"
     return InputError(problem, file=file, field=field or None)

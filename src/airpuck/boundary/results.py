@@ -6,6 +6,7 @@ import importlib.util
 import math
 import os
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, fields, is_dataclass
 from html import escape
 from operator import attrgetter
@@ -42,7 +43,87 @@ def frame(rows: Mapping[str, Mapping[str, Any]]) -> Any:
     return pandas.DataFrame.from_dict(found, orient="index")
 
 
-class Result:
+#: Longest text of an object, and of one figure in it: the first that fits is used [characters].
+_LONGEST, _WIDTHS = 400, (160, 100, 60, 40, 25, 16)
+#: More numbers than this are described by their range; other lists end after as many entries.
+_FEW = 8
+
+
+class Brief:
+    """Base of what public functions return: shown in at most 400 characters.
+
+    Each word of `SHOWN` is a figure: ``loss``, or ``delay_s=model.delay`` if the name adds a unit.
+    Without it, results show their JSON, tables of files what differs from their defaults, and other
+    objects their public attributes.
+    """
+
+    SHOWN: ClassVar[str] = ""
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        """Set the text, so that dataclasses keep it."""
+        super().__init_subclass__(**options)
+        if "__repr__" not in vars(cls):
+            setattr(cls, "__repr__", cls.__repr__)  # noqa: B010
+
+    def __repr__(self) -> str:
+        return brief(self)
+
+
+def brief(self: Any, figures: Mapping[str, Any] | None = None) -> str:
+    """Write an object's figures, by default those of `Brief`, on one line."""
+    found = (figures or _figures(self)).items()
+    texts = {key: _text(value) for key, value in found if value is not None}
+    written = ""
+    for width in _WIDTHS:
+        words = (f"{key}={shorten(text, width, placeholder='…')}" for key, text in texts.items())
+        written = f"{type(self).__name__}({', '.join(words)})"
+        if len(written) <= _LONGEST:
+            break
+    return shorten(written, _LONGEST, placeholder=" …)")
+
+
+def _figures(shown: Any) -> Mapping[str, Any]:
+    """Return an object's figures by name; see `Brief`."""
+    if names := getattr(shown, "SHOWN", "").split():
+        words = (word.partition("=") for word in names)
+        return {key: attrgetter(path or key)(shown) for key, _, path in words}
+    if hasattr(shown, "to_json"):
+        return shown.to_json()
+    if hasattr(shown, "model_dump"):
+        return shown.model_dump(exclude_defaults=True)
+    return {name: value for name, value in vars(shown).items() if name[0] != "_"}
+
+
+def _text(value: Any) -> str:
+    """Write a value; only the range of many numbers."""
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    if isinstance(value, Mapping):
+        return f"{{{', '.join(f'{key}: {_text(one)}' for key, one in value.items())}}}"
+    if hasattr(value, "tolist") or isinstance(value, (list, tuple)):
+        with suppress(TypeError, ValueError):
+            return _range(value)
+        value = getattr(value, "tolist", lambda: value)()
+    if isinstance(value, (list, tuple)):
+        more = [f"{len(value)} in all"] if len(value) > _FEW else []
+        return f"[{', '.join([*map(_text, value[:_FEW]), *more])}]"
+    if type(value).__repr__ is object.__repr__:
+        return type(value).__name__
+    return getattr(value, "__qualname__", None) or " ".join(repr(value).split())
+
+
+def _range(values: Any) -> str:
+    """Write sizes and range of many numbers; ValueError or TypeError for anything else."""
+    import numpy as np  # where it exists anyway, or for lists
+
+    found = np.asarray(values, dtype=float)
+    if found.size <= _FEW:
+        raise ValueError("few")
+    least, most = (ufunc.reduce(found, axis=None) for ufunc in (np.fmin, np.fmax))  # without NaN
+    return f"{'×'.join(map(str, found.shape))} values from {least:.3g} to {most:.3g}"
+
+
+class Result(Brief):
     """Base of results; its `to_json` returns the fields that a class declares in `JSON`.
 
     Each word of `JSON` is a field: ``loss``, or ``delay_s=model.delay`` if the key adds a unit or
@@ -50,12 +131,6 @@ class Result:
     """
 
     JSON: ClassVar[str] = ""
-
-    def __init_subclass__(cls, **options: Any) -> None:
-        """Give dataclasses a short repr instead of one with all arrays."""
-        super().__init_subclass__(**options)
-        if cls.__repr__ is object.__repr__:
-            setattr(cls, "__repr__", _brief)  # noqa: B010 - dataclasses keep it
 
     def to_json(self) -> dict[str, Any]:
         """Return the fields for ``--json``.
@@ -74,18 +149,6 @@ class Result:
                 value = dict(zip(entries.split(","), value, strict=True))
             figures[key] = value
         return figures
-
-
-def _brief(result: Result) -> str:
-    """Write the figures of a result, whose names end with their units, and sizes of the rest."""
-    words = []
-    for key, value in result.to_json().items():
-        text = f"{value:.4g}" if isinstance(value, float) else repr(value)
-        if isinstance(value, list | dict) and len(text) > 50:
-            words.append(f"{key}: {len(value)} entries")
-        else:
-            words.append(f"{key}={shorten(text, 60, placeholder=' …')}")
-    return shorten(f"{type(result).__name__}({', '.join(words)})", 500, placeholder=" …)")
 
 
 def plain(value: Any) -> Any:

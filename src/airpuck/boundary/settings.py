@@ -30,6 +30,7 @@ def _kinds() -> dict[Any, tuple[Any, str]]:
         int: (Integral, "a whole number"),
         bool: ((bool, np.bool_), "True or False"),
         str: (str, "a text"),
+        type: (type, "a class"),
         os.PathLike: (os.PathLike, "a path"),
         np.ndarray: (np.ndarray, "an array"),
         Callable: (Callable, "a function"),

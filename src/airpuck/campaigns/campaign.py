@@ -22,6 +22,7 @@ from airpuck.boundary.extensions import named
 from airpuck.boundary.files import Section, checked, laid_over, read_toml
 from airpuck.boundary.limits import read_text
 from airpuck.boundary.outputs import check_output, replacing, without_home
+from airpuck.boundary.results import Brief
 from airpuck.campaigns.items import Count, Fitting, Item, Natural, Recovery, ShortestTime, Tracking
 from airpuck.campaigns.workers import Entry, ItemResult, checked_workers, dispatch
 from airpuck.control.settings import Workers
@@ -119,7 +120,7 @@ _STATISTICS = ("count", "mean", "sd", "min", "q05", "q50", "q95", "max")
 
 
 @dataclass(frozen=True)
-class Campaign:
+class Campaign(Brief):
     """A completed campaign."""
 
     #: Items in the order of the spec.

@@ -161,6 +161,7 @@ class Tracking(TwinItem):
     """One flight of the twin through the paper's set points, in closed loop."""
 
     SOURCES: ClassVar = {"model": of_file, "truth": of_file}
+    MOVED: ClassVar = {"regulator": "law"}
 
     truth: str = "paper:M4"
     #: Model of the controller.

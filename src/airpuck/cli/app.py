@@ -108,8 +108,15 @@ class Command(_PlainHelp, TyperCommand):
         super().format_help(ctx, formatter)
 
 
-#: Former options, with their replacement.
-_FORMER = {"--adam": "airpuck.identify(method=...), as in studies/adam.py", "--regulator": "--law"}
+#: Former options of all commands or of one, with their replacement.
+_FORMER = {
+    "--adam": "use airpuck.identify(method=...), as in studies/adam.py",
+    "--regulator": "use --law",
+    "excite --model": "use --truth",
+    "design --check": "studies/next_flight.py tests its forecasts",
+    "record --mapping": "leave it out: every topic is recorded",
+    "league --bags": "use python studies/ratings.py league.json --bags DIR",
+}
 
 
 #: Former commands, and the option of `fly` that replaces each.
@@ -133,8 +140,9 @@ def _rejected(error: Any) -> Exception:
     """Return what is wrong with an option or its value, in one sentence, with the nearest name."""
     if hasattr(error, "possibilities"):
         near = f"; did you mean {error.possibilities[0]}?" if error.possibilities else ""
-        near = f"; use {_FORMER[error.option_name]}" if error.option_name in _FORMER else near
-        return InputError(f"no such option{near}", field=error.option_name)
+        option = error.option_name
+        former = _FORMER.get(f"{error.ctx.info_name} {option}") or _FORMER.get(option)
+        return InputError(f"no such option{f'; {former}' if former else near}", field=option)
     if not hasattr(error.__cause__, "errors"):  # not pydantic's
         return error
     (first, *_), choices = error.__cause__.errors(), error.param.type_descriptor.choices

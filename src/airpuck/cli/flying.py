@@ -67,11 +67,9 @@ def excite(
     experiment: options.Experiment,
     seed: options.Seed = 0,
     vehicle: options.ReadVehicle = None,
-    model: Annotated[
+    truth: Annotated[
         str | None,
-        Setting(
-            "True model, which the twin flies; by default paper:M3, or nominal.", metavar="MODEL"
-        ),
+        Setting("The twin's true model; by default paper:M3, or nominal.", metavar="MODEL"),
     ] = None,
     twin: options.ReadTwin = None,
     tuning: options.TuningFile = None,
@@ -80,11 +78,10 @@ def excite(
     """Fly the excitation experiment on the twin and record it."""
     from airpuck.twin.experiments import fly_excitation
 
-    if model is None and vehicle is None:
-        model = "paper:M3"
-    truth = options.model_or_nominal(model, vehicle, airpuck.read_model)
+    usual = None if vehicle else "paper:M3"
+    model = options.model_or_nominal(truth or usual, vehicle, airpuck.read_model)
     excited = fly_excitation(
-        truth, experiment, seed, settings=twin, tuning=options.read_controls(tuning, None, truth)
+        model, experiment, seed, settings=twin, tuning=options.read_controls(tuning, None, model)
     )
     (airpuck.write_csv if csv else airpuck.write_bag)(excited.recording, output)
     figures = {
@@ -103,9 +100,7 @@ def track(
     ] = None,
     flights: Annotated[
         list[Path] | None,
-        Setting(
-            "Real flight to reproduce, one for each model.", metavar="FLIGHT", option="--flight"
-        ),
+        Setting("Real flight to reproduce, one per model.", metavar="FLIGHT", option="--flight"),
     ] = None,
     truth: options.Truth = "paper:M4",
     setpoints: Annotated[
@@ -187,9 +182,7 @@ def tune(
     law: options.LawName = None,
     tuning: options.TuningFile = None,
     twin: options.ReadTwin = None,
-    trials: Annotated[
-        int, Setting("Maximum number of tunings to fly.", numbers.CHECK_FLIGHTS, "N")
-    ] = 50,
+    trials: Annotated[int, Setting("Maximum number of tunings.", numbers.CHECK_FLIGHTS, "N")] = 50,
     seed: options.Seed = 0,
 ) -> None:
     """Find weights of a law by flights on the twin: less error for no more effort.
@@ -232,9 +225,7 @@ def animate(
     span: options.RecordingPart = None,
     vehicle: options.ReadVehicle = None,
     mapping: options.ReadMapping = None,
-    speed: Annotated[
-        float, Setting("Seconds of flight shown per second.", numbers.SPEED, "X")
-    ] = 1.0,
+    speed: Annotated[float, Setting("Seconds of flight per second.", numbers.SPEED, "X")] = 1.0,
     fps: Annotated[float, Setting("Frames of a GIF per second.", numbers.FRAME_RATE, "N")] = 25.0,
     twin: options.ReadTwin = None,
 ) -> None:

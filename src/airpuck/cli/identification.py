@@ -119,9 +119,7 @@ def identify(
     yaw_weight: YawWeight = 0.1,
     bootstrap: Annotated[
         int | None,
-        _of_uncertainty(
-            "Also fit to N resamplings, for bootstrap intervals", numbers.REPLICATES, "N"
-        ),
+        _of_uncertainty("Also fit N resamplings, for bootstrap intervals", numbers.REPLICATES, "N"),
     ] = None,
     seed: Annotated[int, _of_uncertainty("Seed of the resamplings", numbers.SEED, "N")] = 0,
     each: Annotated[

@@ -95,9 +95,7 @@ def twin(
     ] = (0.0, 0.0, 0.0),
     puck: Annotated[
         tuple[float, float, float, float] | None,
-        Setting(
-            r"Start of a puck: position and velocity \[m, m/s].", numbers.COORDINATE, "X Y VX VY"
-        ),
+        Setting(r"Start of a puck: position, velocity \[m, m/s].", numbers.COORDINATE, "X Y VX VY"),
     ] = None,
     human: Annotated[
         str | None,
@@ -290,12 +288,8 @@ def preflight(
     live: Annotated[LiveSettings, Without(("duration",))],
     model: Annotated[str | None, options.BELIEVED] = None,
     vehicle: options.ReadVehicle = None,
-    level: Annotated[
-        float, Setting("Command of the motor under test.", numbers.AMPLITUDE, "U")
-    ] = 0.25,
-    rounds: Annotated[
-        int, Setting("Number of pulses for each motor.", numbers.PULSE_ROUNDS, "N")
-    ] = 2,
+    level: Annotated[float, Setting("Command of the tested motor.", numbers.AMPLITUDE, "U")] = 0.25,
+    rounds: Annotated[int, Setting("Pulses for each motor.", numbers.PULSE_ROUNDS, "N")] = 2,
 ) -> None:
     """Give each motor short pulses; report errors of order, signs, frame, units and delay."""
     from airpuck.flight.pulses import PulsePlan

@@ -147,9 +147,7 @@ ReadTwin = Annotated["TwinSettings | None", _file("--twin", _TWIN, "read_twin_se
 TwinFile = Annotated[Path | None, _file("--twin", _TWIN)]
 ReadTable = Annotated[
     "AirHockey | None",
-    _file(
-        "--table", "Table file: dimensions, goals, puck; by default the usual ones.", "read_table"
-    ),
+    _file("--table", "Table file: size, goals, puck; by default the usual ones.", "read_table"),
 ]
 RecordingPart = Annotated[
     tuple[float, float] | None,
@@ -183,9 +181,7 @@ RacingModel = Annotated[str, _model_named("Model for the controller and the plan
 TwinModel = Annotated[str, _model_named("True model of the simulated craft")]
 Experiment = Annotated[
     ExcitationPlan,
-    FromFile(
-        "--plan", "Excitation plan by `airpuck design`; options override it.", read_excitation_plan
-    ),
+    FromFile("--plan", "Plan by `airpuck design`; options override it.", read_excitation_plan),
 ]
 
 
@@ -211,9 +207,7 @@ ProtocolOption = Annotated[
     Literal["paper", "paper-long", "causal"],
     Setting("paper; paper-long (encoders may look further back); causal (no later measurements)."),
 ]
-Horizon = Annotated[
-    float, Setting("Prediction horizon at which errors are reported.", numbers.HORIZON, "S")
-]
+Horizon = Annotated[float, Setting("Horizon at which errors are reported.", numbers.HORIZON, "S")]
 EncoderName = Annotated[
     str, Setting("paper, or actuation, which also estimates the effectiveness of each motor.")
 ]

@@ -114,19 +114,14 @@ def race(
     truth: options.Truth = "paper:M3",
     law: options.LawName = None,
     seeds: Annotated[
-        int,
-        Setting(
-            "Number of flights, each with its own noise and radio.", numbers.CHECK_FLIGHTS, "N"
-        ),
+        int, Setting("Flights, each with its own noise and radio.", numbers.CHECK_FLIGHTS, "N")
     ] = 10,
     twin: options.ReadTwin = None,
     tuning: options.TuningFile = None,
     figure: Annotated[Path | None, options.figure("all flights")] = None,
     animation: Annotated[
         Path | None,
-        options.output(
-            "FILE", "Animation of the first flight to write, as GIF or HTML.", "--animation"
-        ),
+        options.output("FILE", "Animation of the first flight, as GIF or HTML.", "--animation"),
     ] = None,
 ) -> None:
     """Fly a plan on the twin; without points and discs, also fly to its goal as a set point."""
@@ -238,9 +233,7 @@ def design(
     duration: ProposedDuration = 60.0,
     criterion: Criterion = "worst",
     margin: ProposedMargin = 0.08,
-    output: Annotated[
-        Path | None, options.output("FILE", "Plan file to write, for excite --plan.")
-    ] = None,
+    output: Annotated[Path | None, options.output("FILE", "Plan for excite --plan.")] = None,
     figure: Annotated[Path | None, options.figure("the errors")] = None,
     twin: options.ReadTwin = None,
     tuning: options.TuningFile = None,

@@ -75,9 +75,7 @@ Out = Annotated[Path, options.output("DIR", "Folder to write to.", "-o", "--outp
 @command(PANEL, figures=False)
 def fetch(
     name: Annotated[str, Argument(metavar="[NAME]", help="Name of the dataset.")] = "holohover",
-    everything: Annotated[
-        bool, Option("--all", help="All recordings, not only the study's.")
-    ] = False,
+    everything: Annotated[bool, Option("--all", help="All, not only the study's.")] = False,
     listed: Annotated[bool, Option("--list", help="List the datasets; download nothing.")] = False,
     output: Annotated[
         Path | None,
@@ -108,9 +106,7 @@ def fetch(
 
 @command(PANEL)
 def reproduce(
-    data: Annotated[
-        Path | None, Option(metavar="DIR", help="Folder of the public dataset.")
-    ] = None,
+    data: Annotated[Path | None, Option(metavar="DIR", help="Folder of the public data.")] = None,
     output: Out = Path("out"),
 ) -> None:
     """Reproduce the paper's tables and figures, published against ours."""

@@ -13,6 +13,7 @@ from jaxtyping import Float
 from airpuck.boundary.arguments import numbers_of
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.extensions import UserCode
+from airpuck.boundary.results import Brief
 from airpuck.compute.compiled import program
 from airpuck.control.allocation import AllocationStatus
 from airpuck.control.laws import check_law, law_class
@@ -38,7 +39,7 @@ FLYING: tuple[Status, ...] = ("exact", "scaled", "nearest", *get_args(SolverStat
 
 
 @dataclass(frozen=True, eq=False)
-class Prediction:
+class Prediction(Brief):
     """The trajectory that a predictive law expects.
 
     Attributes
@@ -65,7 +66,7 @@ class Prediction:
 
 
 @dataclass(frozen=True, eq=False)
-class Step:
+class Step(Brief):
     """Result of a control step.
 
     Attributes
@@ -113,7 +114,7 @@ class Moment(NamedTuple):
     #: Takes the inputs of the law's stage. Returns the craft as predicted for when the command
     #: begins to act, and the results of the stage.
     foresee: Callable[..., tuple[Estimate, Sequence[Any]]]
-    #: Limits of the craft's motion at this moment; a law without limits ignores them.
+    #: Limits of the craft's motion at this moment; see `Law.obeys_limits`.
     limits: Sequence[Limit] = ()
 
 
@@ -133,7 +134,7 @@ class LawOptions:
     compiled: bool = True
 
 
-class Law:
+class Law(Brief):
     """Computes a command from the state predicted for the time at which the command begins to act.
 
     A step takes the law's state and returns the next one; the law itself does not change. Pure
@@ -161,6 +162,9 @@ class Law:
     c_modules : sequence of str, optional
         Modules of ``packaged/c`` that compute this law, besides those of each controller. By
         default there are none, and the law cannot be exported to C.
+    obeys_limits : bool
+        Whether the law keeps the craft within `Moment.limits`; by default False, and a controller
+        then takes no hard limits.
     gain : array or None
         Gain of a linear law, which may be fitted to a flight.
     stage : callable or None
@@ -185,10 +189,12 @@ class Law:
     'open loop'
     """
 
+    SHOWN = "title gain"
     Settings: ClassVar[type[LawSettings] | None] = None
     title: ClassVar[str] = "a law of its own"
     looks_ahead: ClassVar[bool] = True
     c_modules: ClassVar[Sequence[str] | None] = None
+    obeys_limits: bool = False
     gain: Float[np.ndarray, "3 6"] | None = None
     stage: Callable[..., tuple[Any, ...]] | None = None
     inputs: tuple[np.ndarray, ...] = ()
@@ -230,7 +236,7 @@ class UserLaw(Law):
 
     def __init__(self, own: Law, code: UserCode) -> None:
         self._own, self._code = own, code
-        self.stage, self.inputs = own.stage, own.inputs
+        self.stage, self.inputs, self.obeys_limits = own.stage, own.inputs, own.obeys_limits
 
     def init(self) -> Any:
         """Return the state before the first step; see `Law.init`."""

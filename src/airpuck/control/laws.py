@@ -37,9 +37,11 @@ def law_class(name: str) -> Any:
     return resolve_name(found) if isinstance(found, str) else found
 
 
-def law_label(name: str) -> str:
-    """Return the name of a law for labels and file names: without its path."""
-    return name.rpartition(":")[2]
+def law_label(law: Any) -> str:
+    """Return a law's name for labels and file names: without its path, or that of its class."""
+    if isinstance(law, str):
+        return law.rpartition(":")[2]
+    return getattr(law, "__name__", type(law).__name__)
 
 
 def name_among(names: Iterable[str], law: str, otherwise: str) -> str:

@@ -82,6 +82,7 @@ class MPC(Law):
 
     Settings = PredictiveSettings
     title, c_modules = "predictive control", ("mpc", "qp", "slopes")
+    obeys_limits = True
 
     def __init__(self, model: Model, tuning: Tuning, options: LawOptions | None = None) -> None:
         options = options or LawOptions()

@@ -16,6 +16,7 @@ from airpuck.boundary.arguments import numbers_of
 from airpuck.boundary.errors import InputError, about
 from airpuck.boundary.extensions import UserCode
 from airpuck.boundary.files import Section, read_toml
+from airpuck.boundary.results import Brief
 
 #: A little over three turns; the largest yaw that may be requested at once [rad].
 _MOST_YAW = 20.0
@@ -146,7 +147,7 @@ class SetPoint:
         return _held(self.at(now, 0.0), len(ahead))
 
 
-class SetPoints:
+class SetPoints(Brief):
     """A sequence of poses, each held from its own time on.
 
     Parameters
@@ -191,7 +192,7 @@ class SetPoints:
         return _held(self.at(now, 0.0), len(ahead))
 
 
-class TimedPath:
+class TimedPath(Brief):
     """A trajectory to follow: poses at given times, joined by cubic splines.
 
     Velocity and acceleration of the splines are fed forward. Before the beginning and after the end
@@ -218,6 +219,8 @@ class TimedPath:
     >>> path.at(0.0, 0.0).state[:3].tolist()
     [0.3, 0.0, 0.0]
     """
+
+    SHOWN = "first_s=_first last_s=_last"
 
     def __init__(self, times: Numbers, poses: Sequence[Numbers] | np.ndarray) -> None:
         from scipy.interpolate import CubicSpline
@@ -246,7 +249,7 @@ class TimedPath:
         return Preview(np.hstack([pose, velocity * moving]), acceleration * moving)
 
 
-class Rendezvous:
+class Rendezvous(Brief):
     """A state to reach at a given time, along any path: to meet something that moves.
 
     Until then, a predictive law considers nothing else. Other laws chase a target that moves

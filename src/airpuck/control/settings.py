@@ -12,14 +12,10 @@ from airpuck.boundary.settings import Setting, Settings
 #: Largest signal: one number for all, or one each.
 Amplitude = Annotated[
     float | tuple[float, ...],
-    Setting(
-        "Largest random signal, as a fraction of the commands", numbers.SIGNAL, "A", "--amplitude"
-    ),
+    Setting("Largest random signal, as a fraction of commands", numbers.SIGNAL, "A", "--amplitude"),
 ]
 Hold = Annotated[float, Setting("Time between changes of the signals", numbers.HOLD, "S", "--hold")]
-Duration = Annotated[
-    float, Setting("Length of the flight", numbers.FLIGHT_DURATION, "S", "--duration")
-]
+Duration = Annotated[float, Setting("Length of flight", numbers.FLIGHT_DURATION, "S", "--duration")]
 Margin = Annotated[
     float,
     Setting(
@@ -45,7 +41,7 @@ ControllerKind = Annotated[
     Literal["paper", "full"] | None,
     Setting(
         "paper: as flown; full: compensates the delay, rejects disturbances; by default paper, "
-        "or full for laws other than lqr.",
+        "or full for laws other than lqr."
     ),
 ]
 #: Criterion for comparing proposed flights: the largest relative error, or the geometric mean of

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import partial
@@ -54,9 +55,10 @@ class TrackingController(Pilot):
     table : Table, optional
         The table whose rails a predictive law avoids; by default the paper's.
     limits : sequence of Fence, KeepOut and HalfPlane, optional
-        Limits that a predictive law keeps; may be replaced at any time. Discs and half planes add
-        to the tuning's limits. A fence replaces the tuning's and the table's rails; several fences
-        all hold.
+        Limits for a law that obeys them (`Law.obeys_limits`), such as "mpc"; may be replaced at any
+        time. Other laws warn about soft limits and reject hard ones. Discs and half planes add to
+        the tuning's limits. A fence replaces the tuning's and the table's rails; several fences all
+        hold.
     gain : array, shape (3, 6), optional
         Gain of the law `LQR`.
     reject_disturbance : bool, default True
@@ -79,7 +81,8 @@ class TrackingController(Pilot):
     ------
     InputError
         If a thrust curve falls somewhere, the propellers cannot produce every acceleration, a gain
-        is not finite, or the reference is beyond the rails of the given table.
+        is not finite, the reference is beyond the rails of the given table, or the law does not
+        obey hard limits.
 
     Examples
     --------
@@ -88,6 +91,8 @@ class TrackingController(Pilot):
     >>> controller.step(0.0).status
     'scaled'
     """
+
+    SHOWN = "model=model.name reference law limits period_s=tuning.period_s"
 
     def __init__(
         self,
@@ -112,11 +117,12 @@ class TrackingController(Pilot):
         if table is not None:
             check_inside(reference, table.reach(0.0), "the table")
         self.model, self.reference, self.tuning = model, reference, tuning
-        self.compensate_delay, self.limits = compensate_delay, limits
-        self._idle = vehicle.idle
-        options = LawOptions(table or Table(), self.limits, gain, reject_disturbance, compiled)
+        self.compensate_delay, self._idle = compensate_delay, vehicle.idle
+        limits = checked_limits(limits)
+        options = LawOptions(table or Table(), limits, gain, reject_disturbance, compiled)
         moved = of_means(tuning.turning(model))
         self.law = make_law(law or tuning.law.kind, moved, tuning, options)
+        self.limits = limits
         self.law.stage = stage_of_means(model, self.law.stage)
         self._modulator = modulator_for(model, tuning)
         self.state = self.law.init()
@@ -135,12 +141,18 @@ class TrackingController(Pilot):
 
     @property
     def limits(self) -> tuple[Limit, ...]:
-        """Limits that a predictive law keeps."""
+        """Limits that the law obeys, or ignores with a warning; see `Law.obeys_limits`."""
         return self._limits
 
     @limits.setter
     def limits(self, given: Iterable[Limit]) -> None:
-        self._limits = checked_limits(given)
+        limits = checked_limits(given)
+        if limits and not self.law.obeys_limits:
+            problem = f'are ignored by {self.law.title}; use law="mpc"'
+            if any(limit.hard for limit in limits):
+                raise InputError(problem, field="limits")
+            warnings.warn(f"limits {problem}", stacklevel=2)
+        self._limits = limits
 
     def pose(self, time: float, pose: Numbers) -> None:
         """Receive a measured pose.

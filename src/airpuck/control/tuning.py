@@ -36,8 +36,6 @@ _SLOW = 2.0
 #: Speeds on the way to a set point, at which errors of stamps become errors of poses: half of the
 #: largest ones of the paper's flights [m/s, rad/s].
 _FLOWN_SPEED, _FLOWN_SPIN = 0.4, 2.0
-#: Where the tables of older files stand now.
-_MOVED = {"weights": "law.lqr.weights", "allocation": "law.lqr", "regulator": "law"}
 
 
 class LawSettings(Section):
@@ -224,6 +222,9 @@ class Tuning(Section):
     >>> tuning.save("tuning.toml")
     """
 
+    MOVED: ClassVar = {"weights": "[law.lqr.weights]", "allocation": "[law.lqr]"}
+    MOVED |= {"regulator": "[law]", "with_regulator": "with_law"}
+    SHOWN: ClassVar[str] = "period_s law=law.kind settings=law.tables estimation modulation"
     period_s: Annotated[float, pydantic.Field(ge=1e-3, le=0.1)] = 0.01
     law: ChosenLaw
     estimation: Estimation
@@ -442,8 +443,6 @@ def read_tuning(path: str | os.PathLike[str], model: Model | None = None) -> Tun
     'mpc'
     """
     usual, content = default_tuning() if model is None else tuning_for(model), load_toml(path)
-    for old in _MOVED.keys() & content.keys():
-        raise InputError(f"is now written [{_MOVED[old]}]", file=path, field=old)
     return checked(laid_over(usual.model_dump(mode="json"), content), Tuning, file=path)
 
 

@@ -11,7 +11,7 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 import pydantic
@@ -133,6 +133,7 @@ class Vehicle(Section):
     (True, 6)
     """
 
+    SHOWN: ClassVar[str] = "name mass_kg radius_m command_min command_max motors=propeller_names"
     name: str
     mass_kg: Positive
     position_error_m: NonNegative = TOLERANCES["position_error_m"]

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float
 
+from airpuck.boundary.results import Brief
 from airpuck.craft.wheel import Spinning
 from airpuck.model.model_file import Model
 from airpuck.model.quantities import QUANTITIES
@@ -62,7 +63,7 @@ class ActuationEstimate:
 
 
 @dataclass(frozen=True, eq=False)
-class Estimate:
+class Estimate(Brief):
     """The estimated craft at one time."""
 
     #: [s].

@@ -234,6 +234,7 @@ class ResidualTests(Result):
     (True, True)
     """
 
+    SHOWN = "model samples sample_period_s=sample_period passed jitter_s=late.jitter verdicts"
     JSON = (
         "model samples sample_period_s=sample_period passed verdicts noise=innovations.noise "
         "jitter_s=late.jitter whiteness cross_correlation=correlations model_errors=errors "

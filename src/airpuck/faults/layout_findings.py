@@ -163,7 +163,8 @@ class LayoutCheck(Result):
     friction: float | None = None
 
     def __repr__(self) -> str:
-        return "\n".join(self.lines)
+        each = (f"{p.name} {p.agreement:.3f} {p.verdict}" for p in self.propellers)
+        return "\n".join(["; ".join(each), *self.lines[len(self.propellers) :]])
 
     @property
     def lines(self) -> tuple[str, ...]:

@@ -122,7 +122,8 @@ class FlightLog:
     def recording(self) -> Recording:
         """What a recorder on the network logged; InputError without a recorder."""
         if self.recorded is None:
-            raise InputError("this flight was not recorded; fly with airpuck.track")
+            problem = "this flight was not recorded; a twin has its own, twin.recording()"
+            raise InputError(f"{problem}, and airpuck.track returns one with the log")
         return self.recorded
 
     def metrics(self) -> list[SetPointResult]:

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from airpuck.boundary.errors import InputError
+from airpuck.boundary.results import Brief
 from airpuck.control.law import Status, Step
 from airpuck.control.lqr import LQR, look_ahead, motor_lag
 from airpuck.control.reference import Target
@@ -52,7 +53,7 @@ class Gains:
 
 
 @dataclass(frozen=True, eq=False)
-class Replay:
+class Replay(Brief):
     """Recorded commands, and the controller's commands.
 
     Attributes

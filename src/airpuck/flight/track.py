@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -29,7 +28,7 @@ _STEADY_S, _STEADY_SHARE = 1.0, 0.25
 _LEAD_S = 0.5
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True)
 class SetPointResult(Result):
     """Tracking performance at one set point."""
 
@@ -52,20 +51,6 @@ class SetPointResult(Result):
     steady_state_error: tuple[float, ...] | None
     #: Mean over the dwell of the sum of squared commands above the lowest command.
     effort: float
-
-    def __repr__(self) -> str:
-        settled = "never" if self.settling_time is None else f"after {self.settling_time:.2f} s"
-        error = self.steady_state_error or (np.nan,) * 3
-        return (
-            f"SetPointResult({_words(self.pose)}: settled {settled}, overshoot "
-            f"{_words(self.overshoot, 'm')}, error {_words(error, 'm')}, effort {self.effort:.3g})"
-        )
-
-
-def _words(pose: Sequence[float], milli: str = "") -> str:
-    """Write a pose, or a thousandth of one, with its units."""
-    x, y, yaw = (value * (1e3 if milli else 1.0) for value in pose)
-    return f"{x:.3g}, {y:.3g} {milli}m, {yaw:.3g} {milli}rad"
 
 
 @dataclass(frozen=True, eq=False)

@@ -33,9 +33,7 @@ Stride = Annotated[
     int | None,
     of_errors("Samples from one window to the next; by default 29 ms", numbers.STRIDE, "N"),
 ]
-YawWeight = Annotated[
-    float, of_errors(r"Weight of yaw errors in the loss \[1/rad]", numbers.WEIGHT, "W")
-]
+YawWeight = Annotated[float, of_errors(r"Weight of yaw errors \[1/rad]", numbers.WEIGHT, "W")]
 #: Degree of the thrust polynomials.
 Degree = Annotated[
     int | None,

@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from airpuck.boundary.errors import InputError
+from airpuck.boundary.results import brief
 from airpuck.craft.vehicle import Vehicle
 from airpuck.model.quantities import EFFECTS, QUANTITIES, Quantity
 from airpuck.physics.effects import Effect, Layout
@@ -36,7 +37,7 @@ _Values: Any = make_dataclass(
 )
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Parameters(_Values):
     """A point θ in parameter space, with an attribute for each of its quantities.
 
@@ -56,6 +57,9 @@ class Parameters(_Values):
 
     #: Quantities of the user's own effects, after `QUANTITIES`.
     own: ClassVar[tuple[Quantity, ...]] = ()
+
+    def __repr__(self) -> str:
+        return brief(self, {q.key: getattr(self, q.name) for q in self.quantities})
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the values with the quantities, which a class made at run time has."""
@@ -304,7 +308,7 @@ Parameters.__doc__ = f"{Parameters.__doc__}\n    Attributes\n    ----------\n" +
 def _kind(own: tuple[Quantity, ...]) -> type[Parameters]:
     """Return the class of parameters that have quantities of the user's own, too."""
     added = [(q.name, Any, None) for q in own]
-    space = {"own": own, "__module__": __name__}
+    space = {"own": own, "__module__": __name__, "__repr__": Parameters.__repr__}
     bases = (Parameters,)
     return make_dataclass("Parameters", added, bases=bases, namespace=space, frozen=True, eq=False)
 

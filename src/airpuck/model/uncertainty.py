@@ -11,7 +11,7 @@ import pydantic
 from jaxtyping import Bool, Float
 
 from airpuck.boundary.files import NonNegative, Positive, Section
-from airpuck.boundary.results import html_table
+from airpuck.boundary.results import Brief, html_table
 from airpuck.model.parameters import Parameters
 
 #: Columns of a table of parameters.
@@ -65,7 +65,7 @@ class Bootstrap:
 
 
 @dataclass(frozen=True, eq=False)
-class Uncertainty:
+class Uncertainty(Brief):
     """Covariance of the learned parameters, over all P entries of ``Parameters.to_vector()``.
 
     Attributes

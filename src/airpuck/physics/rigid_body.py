@@ -16,6 +16,7 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float
 
+from airpuck.boundary.results import Brief
 from airpuck.compute.arrays import linear_map, register_pytree, scan
 from airpuck.compute.rotation import cos_sin
 from airpuck.physics.effects import BodyMotion, Effect
@@ -49,7 +50,7 @@ def to_body(
 
 
 @dataclass(frozen=True)
-class Dynamics:
+class Dynamics(Brief):
     """Coefficients of the equations of motion.
 
     For one craft, or for a batch of craft as last axis. Rungs of the model ladder differ only in
@@ -74,6 +75,8 @@ class Dynamics:
         1 where motors have the lag `motor_time_constant` and 0 elsewhere, and the lags of these
         others [s]; None: all have the same.
     """
+
+    SHOWN = "thrust_N=thrust center_of_mass_m=center_of_mass lag_s=motor_time_constant effects"
 
     thrust: Any
     configuration: Any

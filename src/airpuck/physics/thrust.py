@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from airpuck.boundary.errors import InputError
+from airpuck.boundary.results import Brief
 from airpuck.compute.arrays import repeat_while
 
 #: If a thrust curve's lowest slope is below this, its constraint is active [N]; the constraint's
@@ -112,7 +113,7 @@ def is_monotone(coefficients: Float[np.ndarray, "n degree"]) -> Bool[np.ndarray,
     return lowest_slope(coefficients)[0] >= 0
 
 
-class InverseThrust:
+class InverseThrust(Brief):
     """Computes the motor speeds that give thrusts, F⁻¹ in seq:control.
 
     The controller's command follows from them: u = B⁻¹ (F⁻¹(F) - A φ), with the motors' A and B of
@@ -135,6 +136,8 @@ class InverseThrust:
     >>> speed_for(np.array([0.5])).round(3)
     array([0.5])
     """
+
+    SHOWN = "coefficients_N=_coefficients"
 
     def __init__(self, coefficients: Float[np.ndarray, "n degree"]) -> None:
         slopes, speeds = lowest_slope(coefficients)

@@ -46,9 +46,7 @@ class Limits(Settings):
         float, Setting("Fraction of thrust reserved for feedback.", numbers.RESERVE, "R")
     ] = 0.0
     spin: Annotated[float, Setting("Largest spin.", numbers.SPIN_LIMIT, "W")] = 15.0
-    speed: Annotated[
-        float, Setting("Largest speed along x and along y.", numbers.SPEED_LIMIT, "V")
-    ] = 3.0
+    speed: Annotated[float, Setting("Largest speed along x and y.", numbers.SPEED_LIMIT, "V")] = 3.0
     margin: Annotated[
         float, Setting("Distance to keep from rails and discs.", numbers.CLEARANCE, "M")
     ] = 0.0

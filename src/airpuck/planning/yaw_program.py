@@ -198,12 +198,13 @@ class YawProgram:
         bends = [steepest]
         most = np.zeros((self._count, len(coasts)))
         for k in range(1, self._count + 1):
-            worth = turn(worth) + added[k - 1]
+            worth = turn(worth) + added[k - 1, :, None]
             most[k - 1] = self._goal_worth(worth, k, coasts)
             if k < self._count:
                 gains = self._gains(k, self._yaws, changes * unit / step, k % _REDRAWN == 0)
                 bends.append(_steepest(gains, self._yaws) * self._size[k] * step)
-                worth = _pushed(worth, (step * self._size[k] * gains).astype(np.float32), changes)
+                push = (step * self._size[k] * gains.T).astype(np.float32)
+                worth = _pushed(worth, push, changes)
         return most + self._roundings(np.array(bends), unit, coasts)[:, None]
 
     def _penalty(self) -> tuple[Float[np.ndarray, " Y"], float]:
@@ -214,12 +215,12 @@ class YawProgram:
         cost = -self.weight.yaw_price * turns - curvature / 2 * turns**2
         return cost.max(axis=0), curvature
 
-    def _begin(self) -> tuple[Float[np.ndarray, "Y S"], float]:
+    def _begin(self) -> tuple[Float[np.ndarray, "S Y"], float]:
         """Return the value after the first half of a push, and the slope of its gain."""
         moments = (self._spins - self._request.start[5]) * 2 / self.step
         gains = self._gains(0, self._yaws, moments)
         first = self._size[0] * self.step / 2
-        worth = self._penalty()[0][:, None] + first * gains
+        worth = self._penalty()[0] + first * gains.T
         return worth.astype(np.float32), _steepest(gains, self._yaws) * first
 
     def _between_nodes(self) -> Float[np.ndarray, "K S"]:
@@ -266,7 +267,7 @@ class YawProgram:
         return frontier(self._model, angles, low, high, moments, self._added, redrawn)
 
     def _goal_worth(
-        self, worth: Float[np.ndarray, "Y S"], k: int, coasts: Float[np.ndarray, " T"]
+        self, worth: Float[np.ndarray, "S Y"], k: int, coasts: Float[np.ndarray, " T"]
     ) -> Float[np.ndarray, " T"]:
         """Read off the value of flights that end now, after the second half of a push."""
         goal, half = self._request.goal.state, self._size[k] * self.step / 2
@@ -278,7 +279,7 @@ class YawProgram:
             far = self._request.limits.spin * coasts[-1] / spacing * np.array([-1, 1])
             far = far if np.isnan(goal[5]) else np.array([turned.min(), turned.max()])
             rows = np.arange(int(np.floor(far[0])), int(np.ceil(far[1])) + 2)
-        yaws, ending = self._yaws[rows % count], worth[rows % count]
+        yaws, ending = self._yaws[rows % count], worth[:, rows % count].T
         if np.isnan(goal[5]):
             # Any moment is allowed, so each motor does what pushes most.
             push = pushes(self._model, yaws - float(np.angle(self._values[k])))
@@ -300,32 +301,31 @@ class _Turn:
     def __init__(self, angles: Float[np.ndarray, " S"], yaws: int) -> None:
         back = -angles / (2 * np.pi) * yaws
         whole = np.floor(back).astype(int)
-        self._share = (back - whole).astype(np.float32)
-        rows = (np.arange(yaws)[:, None] + whole) % yaws
-        columns = np.arange(len(angles))
-        self._near = rows * len(angles) + columns
-        self._next = (rows + 1) % yaws * len(angles) + columns
+        self._share = (back - whole).astype(np.float32)[:, None]
+        columns = (np.arange(yaws) + whole[:, None]) % yaws
+        first = yaws * np.arange(len(angles))[:, None]
+        self._near, self._next = first + columns, first + (columns + 1) % yaws
 
-    def __call__(self, worth: Float[np.ndarray, "Y S"]) -> Float[np.ndarray, "Y S"]:
+    def __call__(self, worth: Float[np.ndarray, "S Y"]) -> Float[np.ndarray, "S Y"]:
         """Return the value after the turn."""
         near, share = worth.take(self._near), self._share
         return near + share * (worth.take(self._next) - near)
 
 
 def _pushed(
-    worth: Float[np.ndarray, "Y S"], gain: Float[np.ndarray, "Y B"], changes: Int[np.ndarray, " B"]
-) -> Float[np.ndarray, "Y S"]:
+    worth: Float[np.ndarray, "S Y"], gain: Float[np.ndarray, "B Y"], changes: Int[np.ndarray, " B"]
+) -> Float[np.ndarray, "S Y"]:
     """Let the motors push and turn: the best over all moments."""
     best = np.full_like(worth, _IMPOSSIBLE)
-    count = worth.shape[1]
-    for j, change in enumerate(changes):
-        if gain[0, j] < _IMPOSSIBLE * _SMALLEST_SHARE or abs(change) >= count:
+    count = len(worth)
+    for push, change in zip(gain, changes, strict=True):
+        if push[0] < _IMPOSSIBLE * _SMALLEST_SHARE or abs(change) >= count:
             continue
         to, of = (
             slice(max(change, 0), count + min(change, 0)),
             slice(max(-change, 0), count - max(change, 0)),
         )
-        np.maximum(best[:, to], worth[:, of] + gain[:, j : j + 1], out=best[:, to])
+        np.maximum(best[to], worth[of] + push, out=best[to])
     return best
 
 
@@ -360,10 +360,13 @@ def frontier(
     terms = push[:, None, :] + prices[:, :, None] * turn
     ceiling = np.where(terms > 0, terms * high, terms * low).sum(axis=-1)
     ceiling = ceiling + np.abs(prices) * added[1]
-    tangents = ceiling[:, :, None] - prices[:, :, None] * moments
-    best = tangents.argmin(axis=1)
-    table = np.take_along_axis(tangents, best[:, None], axis=1)[:, 0]
-    slopes = -np.take_along_axis(prices, best, axis=1)
+    table = np.full((len(angles), len(moments)), np.inf)
+    slopes = np.zeros_like(table)
+    for top, price in zip(ceiling.T[..., None], prices.T[..., None], strict=True):
+        tangent = top - price * moments
+        lower = tangent < table
+        np.copyto(table, tangent, where=lower)
+        np.copyto(slopes, -price, where=lower)
     # Tangents at the ends of a chord meet above all values in between.
     spacing = moments[1] - moments[0]
     chord = np.diff(table, axis=1) / spacing

@@ -16,6 +16,7 @@ from jaxtyping import Bool, Float, Int
 
 from airpuck.boundary.arguments import numbers_of
 from airpuck.boundary.errors import InputError
+from airpuck.boundary.results import Brief
 from airpuck.compute.compiled import for_batches
 from airpuck.craft.table import Table
 from airpuck.model.model_file import Model
@@ -34,7 +35,7 @@ _ROUNDING = 1e-9
 _RAREST = 40.0
 
 
-class TwinBatch:
+class TwinBatch(Brief):
     """Many twins that are stepped together, each with its own parameters, radio and noise.
 
     Each craft flies like a `Twin` of the same seed without on-board sensors: with the same radio,

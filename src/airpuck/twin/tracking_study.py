@@ -14,6 +14,7 @@ from jaxtyping import Bool, Float
 from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.results import Result, plain
+from airpuck.control.law import Law
 from airpuck.control.laws import PAPERS, law_label
 from airpuck.control.lqr import LQRSettings, lqr_gain
 from airpuck.control.reference import SetPoints, check_inside
@@ -73,8 +74,7 @@ class Tracked(Result):
     @property
     def file_name(self) -> str:
         """The suffix of file names that distinguishes flights."""
-        law = self.law
-        return self.model if law in (None, PAPERS) else f"{self.model}_{law_label(law)}"
+        return self.model if self.law in (None, PAPERS) else f"{self.model}_{law_label(self.law)}"
 
     @property
     def results(self) -> list[SetPointResult]:
@@ -177,7 +177,7 @@ def tracking_study(
     dwell: Dwell | None = None,
     seed: int = 0,
     controller: ControllerKind = None,
-    laws: Sequence[str] = (),
+    laws: Sequence[str | type[Law] | Law] = (),
     settings: TwinSettings | None = None,
     tuning: Tuning | None = None,
     make_pilot: PilotMaker | None = None,
@@ -205,9 +205,8 @@ def tracking_study(
     controller : {"paper", "full"}, optional
         ``full`` compensates the transport delay and rejects disturbances. By default it flies if a
         law is not ``lqr``; the paper's controller did neither.
-    laws : sequence of str, optional
-        Laws that each model flies with, by name (see `airpuck.Law`), or FILE.py:NAME of a pilot; by
-        default the tuning's law.
+    laws : sequence of str, subclass of Law or object of it, optional
+        Laws that each model flies with, or FILE.py:NAME of a pilot; by default the tuning's law.
     settings : TwinSettings, optional
         Table, sensors, radio, faults; by default the paper's.
     tuning : Tuning, optional
@@ -259,8 +258,10 @@ def tracking_study(
             task = _Task.flown(Track.of(flight, model.vehicle, f"{model.name}, real"), border)
         for kind in laws:
             label = f"{model.name} {law_label(kind)}" if beyond_paper else model.name
-            own, controls = make_pilot or pilot_named(kind), tuned.with_law(kind)
-            found.append(fly(model, flight, task, label, tuning=controls, make_pilot=own))
+            named = isinstance(kind, str)
+            own = make_pilot or (pilot_named(kind) if named else None)
+            controls = tuned.with_law(kind) if named else tuned
+            found.append(fly(model, flight, task, label, kind, tuning=controls, make_pilot=own))
     return found
 
 
@@ -269,6 +270,7 @@ def _flown(
     flight: Recording | None,
     task: _Task,
     label: str,
+    law: str | type[Law] | Law,
     *,
     truth: Model,
     settings: TwinSettings,
@@ -277,10 +279,9 @@ def _flown(
     **options: Any,
 ) -> Tracked:
     """Fly a task on the twin with one model and one law; `options` go to `track`."""
-    law, pilot, gains = tuning.law.kind, None, None
+    pilot = gains = None
     if make_pilot is not None:
-        pilot = getattr(make_pilot, "__name__", type(make_pilot).__name__)
-        law, label = None, f"{pilot} ({model.name})"
+        label = f"{(pilot := law_label(make_pilot))} ({model.name})"
     elif law == PAPERS:
         gains = Gains.of(lqr_gain(tuning.of(LQRSettings).weights, tuning.period_s))
         if flight is not None:
@@ -295,11 +296,12 @@ def _flown(
         settings=settings,
         tuning=tuning,
         make_pilot=make_pilot,
+        law=law,
         **options,
     )
     return Tracked(
         model=model.name,
-        law=law,
+        law=None if pilot else law if isinstance(law, str) else law_label(law),
         gains=gains,
         twin=Track.of(log.recording, truth.vehicle, f"{model.name}, twin"),
         real=task.real,
@@ -338,8 +340,7 @@ class _Task:
     def flown(cls, real: Track, border: _Border) -> _Task:
         """Return a real flight's set points at its times, from the same start."""
         first = min(int(np.searchsorted(real.time, 0.0)), len(real.time) - 1)
-        # Because of noise, or of another radius, a craft that touches a rail may seem to be beyond
-        # it.
+        # A craft that touches a rail may seem to be beyond it: noise, or another radius.
         reach = np.array([*border, np.inf])
         x, y, yaw = np.clip(real.pose[first], -reach, reach).tolist()
         return cls(real.set_points, float(real.command_time[-1]), (x, y, yaw), real)
@@ -385,7 +386,7 @@ class ControllerComparison(Result):
     def __repr__(self) -> str:
         count = len(self.figures["effort"][0])
         lines = [f"ControllerComparison of {count} flights each, with 95 % intervals"]
-        failed = [int(number) for number in (self.figures["not_settled"] > 0).sum(axis=1)]
+        failed = (self.figures["not_settled"] > 0).sum(axis=1)
         for name, words in (
             ("settling time", self._compared("settling_time_s", " s")),
             ("flights that did not settle", [f"{n} of {count}" if n else "0" for n in failed]),
@@ -419,7 +420,7 @@ def _mean(sample: Float[np.ndarray, " N"]) -> tuple[float, float, float]:
 
 def compare_controllers(
     model: Model,
-    laws: Sequence[str] = ("lqr", "mpc"),
+    laws: Sequence[str | type[Law] | Law] = ("lqr", "mpc"),
     *,
     truth: Model | None = None,
     flights: int = 10,
@@ -436,14 +437,14 @@ def compare_controllers(
     ----------
     model : Model
         The controllers' model.
-    laws : sequence of str, default ("lqr", "mpc")
-        Names of laws, or FILE.py:NAME; the others are compared with the first.
+    laws : sequence of str, subclass of Law or object of it, default ("lqr", "mpc")
+        Laws, as for `track`; the others are compared with the first.
     truth : Model, optional
         The true craft; by default the model.
     flights : int, default 10
         Flights of each law.
     spread : float, default 0.1
-        Random spread of the true thrusts, inertia and lag from flight to flight, relative.
+        Relative random spread of the true thrusts, inertia and lag between flights.
     seed : int, default 0
         Seed of the first flight's craft, noise and radio; later flights count up from it.
     set_points : SetPoints, optional
@@ -495,4 +496,5 @@ def compare_controllers(
     figures = {k: np.array([[one[k] for one in flight] for flight in rows]).T for k in rows[0][0]}
     # A mean over the points where a law settled would favour a law that settles only at easy ones.
     figures["settling_time_s"][figures["not_settled"] > 0] = np.nan
-    return ControllerComparison(tuple(laws), figures)
+    names = tuple(law if isinstance(law, str) else law_label(law) for law in laws)
+    return ControllerComparison(names, figures)

@@ -128,14 +128,6 @@ class Tuned(Result):
             return ()
         return ("the error of craft that no trial flew did not fall; more trials may help",)
 
-    def __repr__(self) -> str:
-        was, now = self.before, self.after
-        return (
-            f"Tuned({self.trials} trials: error {1e3 * was.error_m:.3g} to {1e3 * now.error_m:.3g} "
-            f"mm, effort {was.effort:.3g} to {now.effort:.3g}, delay margin "
-            f"{1e3 * was.delay_margin_s:.0f} to {1e3 * now.delay_margin_s:.0f} ms)"
-        )
-
 
 class _Course:
     """A closed curve along which the craft turns, then a set point."""

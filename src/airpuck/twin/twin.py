@@ -77,6 +77,8 @@ class Twin:
     >>> log = airpuck.fly(controller, twin, duration=0.1)
     """
 
+    SHOWN = "model=model.name now_s=now state settings"
+
     def __init__(
         self,
         model: Model,

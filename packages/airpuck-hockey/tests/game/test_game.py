@@ -282,3 +282,8 @@ def test_each_side_of_a_game_has_its_own_seed():
     for seed in range(3):
         Game(Contestant("one", hand=seeded), Contestant("other", hand=seeded), seed=seed)
     assert len(set(seeds)) == 6
+
+
+def test_a_game_is_shown_with_its_time_and_score():
+    assert repr(Game(HARD, EASY)).startswith("Game(time_s=0, phase='")
+    assert repr(Game(HARD, EASY)).endswith("score=[0, 0])")

@@ -47,7 +47,9 @@ def test_figures_of_a_pair_include_both_sides():
         (1, 0, {"left_goals": 2, "right_goals": 2, "duration_s": 30.0}),
         (1, 0, {"left_goals": 4, "right_goals": 0, "duration_s": 10.0}),
     )
-    figures = LeagueResult(("a", "b"), games).to_json()
+    league = LeagueResult(("a", "b"), games)
+    assert repr(league).startswith("LeagueResult(players=") and len(repr(league)) <= 400
+    figures = league.to_json()
     (_, cell), (other, _) = figures["matrix"]
     assert cell == {
         "games": 3,

@@ -86,9 +86,7 @@ class Pairing(Settings):
     HEADING: ClassVar = ""
 
     left: Annotated[str, Setting(PLAYER, metavar="PLAYER")] = "airpuck"
-    right: Annotated[str, Setting("The other player; the same choices.", metavar="PLAYER")] = (
-        "human"
-    )
+    right: Annotated[str, Setting("The other player; same choices.", metavar="PLAYER")] = "human"
     seed: options.Seed = 0
     model: Annotated[str, Setting("Model of the craft.", metavar="MODEL")] = "paper:M3"
     twin: options.ReadTwin = None
@@ -113,9 +111,7 @@ def match(
     workers: options.Workers = None,
     output: Annotated[
         Path | None,
-        options.output(
-            "DIR", "Folder for the games, as bags; existing games are not played again."
-        ),
+        options.output("DIR", "Folder for the games, as bags; games in it are not played again."),
     ] = None,
 ) -> None:
     """Let two players play air hockey against each other."""
@@ -142,9 +138,7 @@ def watch_match(
     rules: GameRules,
     port: Annotated[
         int | None,
-        Setting(
-            "Show the game in the browser, on a page at this port.", numbers.PORT, "N", "--page"
-        ),
+        Setting("Show the game in the browser, at this port.", numbers.PORT, "N", "--page"),
     ] = None,
 ) -> None:
     """Show one game of two players in real time, in the terminal or the browser."""
@@ -269,13 +263,9 @@ def league(
     rules: GameRules,
     players: Annotated[
         list[str] | None,
-        Argument(
-            metavar="PLAYER", help=f"{PLAYER} By default our levels, predecessor and all hands."
-        ),
+        Argument(metavar="PLAYER", help=f"{PLAYER} By default our levels, predecessor and hands."),
     ] = None,
-    games: Annotated[
-        int, Setting("Number of games of each pair; sides alternate.", numbers.GAMES, "N")
-    ] = 2,
+    games: Annotated[int, Setting("Games of each pair; sides alternate.", numbers.GAMES, "N")] = 2,
     seed: options.Seed = 0,
     model: Annotated[str, Setting("Model of the craft.", metavar="MODEL")] = Pairing.model,
     twin: options.ReadTwin = None,

@@ -40,9 +40,7 @@ class PlayingCraft(Settings):
     model: options.ControllersModel = "paper:M3"
     twin: options.ReadTwin = None
     seed: options.Seed = 0
-    tactic: Annotated[
-        str | None, Setting("Your own tactic for the craft.", metavar="FILE.py:NAME")
-    ] = None
+    tactic: Annotated[str | None, Setting("A tactic of your own.", metavar="FILE.py:NAME")] = None
 
 
 @command("Air hockey")
@@ -80,8 +78,9 @@ def play(
 
 @command("Air hockey", rare=("domain", "topics", "seed"))
 def play_live(
-    craft: PlayingCraft,
+    craft: Annotated[PlayingCraft, Without(("model",))],
     live: LiveSettings,
+    model: options.ModelName = "paper:M3",
     port: Annotated[
         int, Setting("Port of the page; with 0 there is no page.", numbers.PAGE_PORT, "N")
     ] = 8088,
@@ -101,7 +100,7 @@ def play_live(
 
     if not (port or browser):
         raise InputError("has no effect with --port 0; leave it out", field="--no-browser")
-    model = read_player(craft.model)
+    believed = read_player(model)
     table = craft.twin or AirHockey()
     make = AllRounder if craft.tactic is None else tactic_maker(craft.tactic)
     score = Score(table)
@@ -110,7 +109,7 @@ def play_live(
         if port:
             page = ArenaSettings(port, live.interface, browser)
             # The flight loop never waits for a page.
-            hello = live_hello(model, table)
+            hello = live_hello(believed, table)
             pages = stack.enter_context(
                 served(
                     page.host, port, hello, page=GAME_PAGE, waits=False, without=", or use --port 0"
@@ -120,9 +119,9 @@ def play_live(
             invite(pages, page.browser, say)
         low_latency()
         figures = fly_live(
-            lambda: Player(model, table, make(), level=LEVELS[craft.level], seed=craft.seed),
-            model.vehicle,
-            half_of(table.table, model.vehicle.radius_m, -1),
+            lambda: Player(believed, table, make(), level=LEVELS[craft.level], seed=craft.seed),
+            believed.vehicle,
+            half_of(table.table, believed.vehicle.radius_m, -1),
             live,
             name="airpuck play",
             spectators=spectators,

@@ -205,6 +205,8 @@ class Game:
     (0, 0)
     """
 
+    SHOWN = "time_s=time phase score"
+
     def __init__(
         self,
         left: Contestant,

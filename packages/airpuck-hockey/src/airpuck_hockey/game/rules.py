@@ -55,9 +55,7 @@ class Rules(Settings):
     foul_s: Annotated[
         float, Setting("Time on one side that counts as a foul.", numbers.GAME_TIME, "S")
     ] = 15.0
-    stuck_s: Annotated[
-        float, Setting("Time at rest until a new serve.", numbers.GAME_TIME, "S")
-    ] = 3.0
+    stuck_s: Annotated[float, Setting("Time at rest until a serve.", numbers.GAME_TIME, "S")] = 3.0
     pause_s: Annotated[float, Setting("Time from a goal to a serve.", numbers.PAUSE, "S")] = 1.0
 
 

@@ -22,6 +22,7 @@ from airpuck.extend import (
     Entry,
     Item,
     ItemResult,
+    Result,
     Row,
     Stopped,
     Workers,
@@ -114,7 +115,7 @@ class Match(Item):
 
 
 @dataclass(frozen=True)
-class MatchResult:
+class MatchResult(Result):
     """The games of two players.
 
     Attributes
@@ -333,7 +334,7 @@ PLAYERS = (
 
 
 @dataclass(frozen=True, eq=False)
-class LeagueResult:
+class LeagueResult(Result):
     """The games of all pairs.
 
     Attributes
