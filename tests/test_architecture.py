@@ -129,7 +129,7 @@ def room(module: str) -> str:
         "from ..twin.twin import Twin",
     ],
 )
-def test_every_way_to_import_is_seen(source):
+def test_every_form_of_import_is_recognised(source):
     assert "twin" in {room(module) for module in imported(ast.parse(source), ("physics",))}
 
 
@@ -149,7 +149,7 @@ def test_imports_go_downwards(package, order, modules):
     assert not upwards
 
 
-def test_airpuck_does_without_air_hockey():
+def test_airpuck_does_not_import_air_hockey():
     users = [path.name for path in MODULES for name in imports(path) if "airpuck_hockey" in name]
     assert not users
 
@@ -210,7 +210,7 @@ def test_examples_and_tutorials_import_public_names_only(path):
             pkgutil.resolve_name(chain)  # AttributeError if there is none
 
 
-def test_few_names_are_for_those_who_extend_airpuck():
+def test_few_names_are_reserved_for_extensions():
     """Lower the number when a name is no longer needed, or a better seam replaces several."""
     assert len(dir(extend)) <= MOST_EXTEND
 
@@ -249,7 +249,7 @@ def test_few_names_are_for_those_who_extend_airpuck():
         ("distributed", {"campaigns"}),
     ],
 )
-def test_heavy_packages_stay_in_their_rooms(package, rooms):
+def test_heavy_packages_are_imported_only_where_allowed(package, rooms):
     users = {
         path.relative_to(ROOT).parts[0]
         for path in MODULES
@@ -259,7 +259,7 @@ def test_heavy_packages_stay_in_their_rooms(package, rooms):
     assert users <= rooms
 
 
-def test_the_physics_computes_and_nothing_else():
+def test_the_physics_imports_only_numerical_modules():
     for path in (ROOT / "physics").glob("*.py"):
         outside = {m.split(".")[0] for m in imports(path)} - {
             "__future__",
@@ -276,12 +276,12 @@ def test_the_physics_computes_and_nothing_else():
         assert not outside, f"{path.name} imports {outside}"
 
 
-def test_no_module_is_two_concepts():
+def test_no_module_exceeds_500_lines():
     long = {p.name: n for p in HOUSE if (n := len(p.read_text().splitlines())) > 500}
     assert not long
 
 
-def test_a_class_name_means_one_thing():
+def test_class_names_are_unique():
     """Also the name of a type alias, which has small letters, unlike a constant's."""
     names = Counter(
         name
@@ -296,7 +296,7 @@ def test_a_class_name_means_one_thing():
 @pytest.mark.parametrize(
     "package", [ROOT / room for room in ORDER] + [HOCKEY_ROOT / room for room in HOCKEY_ORDER]
 )
-def test_the_modules_of_a_package_do_not_import_each_other_in_a_circle(package):
+def test_modules_of_a_package_have_no_circular_imports(package):
     left = {
         f"{package.parent.name}.{package.name}.{path.stem}": imports(path)
         for path in package.glob("[!_]*.py")
@@ -325,7 +325,7 @@ HEAVY = {"casadi", "cyclonedds", "jax", "matplotlib", "rosbags", "scipy"}
         ),
     ],
 )
-def test_importing_stays_light(module, heavy):
+def test_importing_does_not_load_heavy_packages(module, heavy):
     code = f"import sys, {module}; print(*sys.modules)"
     loaded = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True
@@ -346,7 +346,7 @@ def help_groups(module) -> dict[str, list[str]]:
     return {title: [name.strip() for name in names.split(",")] for title, names in groups}
 
 
-def test_help_for_those_who_extend_lists_all_names_by_the_groups_of_the_stub():
+def test_help_for_extensions_lists_all_names_by_the_groups_of_the_stub():
     assert len(pydoc.plain(pydoc.render_doc(extend)).splitlines()) <= 150
     groups, title = {}, ""
     for line in Path(extend.__file__).with_suffix(".pyi").read_text("utf-8").splitlines():
@@ -358,7 +358,7 @@ def test_help_for_those_who_extend_lists_all_names_by_the_groups_of_the_stub():
     assert sorted(name for names in groups.values() for name in names) == sorted(dir(extend))
 
 
-def test_a_misspelt_public_name_is_corrected():
+def test_a_misspelt_public_name_suggests_the_right_one():
     with pytest.raises(AttributeError, match="did you mean 'identify'"):
         _ = airpuck.identfy
 
@@ -371,7 +371,7 @@ def test_every_public_name_can_be_imported():
 
 
 @pytest.mark.slow
-def test_what_studies_benchmarks_and_examples_import_exists():
+def test_imports_of_studies_benchmarks_and_examples_exist():
     def exists(module: str, name: str) -> bool:
         with suppress(ImportError):
             if hasattr(importlib.import_module(module), name):
@@ -392,13 +392,13 @@ def test_what_studies_benchmarks_and_examples_import_exists():
     assert not missing
 
 
-def test_no_room_takes_a_verbs_name():
+def test_no_package_is_named_like_a_public_function():
     # Importing airpuck.x makes the module an attribute of airpuck, over any function of that name.
     rooms = {path.stem if path.is_file() else path.name for path in ROOT.iterdir()}
     assert not rooms & set(dir(airpuck))
 
 
-def test_functions_are_short_or_say_why_not():
+def test_long_functions_state_their_reason():
     long = [
         f"{path.name}: {node.name}"
         for path in HOUSE
@@ -462,11 +462,11 @@ def private_imports(path: Path) -> list[str]:
     return found
 
 
-def test_tests_import_public_names_or_say_why_not():
+def test_private_imports_of_tests_state_their_reason():
     assert not [place for path in ALL_TESTS for place in private_imports(path)]
 
 
-def test_what_tests_share_is_in_their_apparatus():
+def test_helpers_shared_by_tests_are_in_the_apparatus():
     shared = [
         f"{path.name}: {node.module}"
         for path in ALL_TESTS

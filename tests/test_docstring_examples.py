@@ -41,7 +41,7 @@ def shared():
         for name in dir(package)
     ],
 )
-def test_the_example_of_a_public_name_runs(package, name, shared, tmp_path, monkeypatch):
+def test_examples_of_public_names_run(package, name, shared, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     text = inspect.getdoc(getattr(package, name)) or ""
     assert ">>> " in text, "no example"

@@ -80,7 +80,7 @@ def test_entry_points_exist():
     assert not [name for name in ENTRIES if not exists(name)]
 
 
-def test_what_is_documented_is_what_is_there():
+def test_docstrings_match_signatures():
     public = [getattr(package, name) for package in PACKAGES for name in dir(package)]
     exported = {f"{one.__module__}.{one.__name__}" for one in public if hasattr(one, "__module__")}
     wrong = {}

@@ -19,7 +19,7 @@ def labels_in(text: str) -> set[str]:
     return {f"eq:{equation}" if equation else other for equation, other in LABEL.findall(text)}
 
 
-def test_the_table_is_read():
+def test_the_table_of_equations_is_parsed():
     assert len(ROWS) >= 28
 
 
@@ -30,10 +30,10 @@ def text_of(name: str) -> str:
     return f"{here.__doc__}\n{getattr(here, function).__doc__}"
 
 
-def test_each_equation_is_where_the_table_says():
+def test_each_equation_is_implemented_where_stated():
     assert not [(label, name) for label, name in ROWS if label not in labels_in(text_of(name))]
 
 
-def test_only_the_papers_labels_are_cited():
+def test_only_labels_of_the_paper_are_cited():
     cited = {path: labels_in(path.read_text(encoding="utf-8")) for path in ROOT.rglob("*.py")}
     assert not {str(path): unknown for path, names in cited.items() if (unknown := names - LABELS)}

@@ -96,14 +96,14 @@ def test_every_extra_is_tested():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("uses", FIRST_USE, ids=" ".join)
-def test_an_extra_brings_what_its_first_command_needs(uses, tmp_path):
+def test_an_extra_provides_what_its_first_command_needs(uses, tmp_path):
     for extras, command in uses.items():
         done = run(environment(tmp_path / extras, *extras.split(",")), command, tmp_path)
         assert done.returncode == 0, done.stderr
 
 
 @pytest.mark.slow
-def test_without_its_extra_a_command_says_what_to_install(tmp_path):
+def test_without_its_extra_a_command_states_what_to_install(tmp_path):
     uses = [use for each in (*FIRST_USE, OTHER_USE) for use in each.items()]
     done = run(
         environment(tmp_path / "plain"),
@@ -119,7 +119,7 @@ def test_without_its_extra_a_command_says_what_to_install(tmp_path):
 
 
 @pytest.mark.slow
-def test_an_environment_has_nothing_else(tmp_path):
+def test_a_plain_environment_contains_only_required_packages(tmp_path):
     python = environment(tmp_path / "plain")
     for name, status in (("jax", 0), ("pytest", 1), ("pandas", 1), ("casadi", 1)):
         code = f"import importlib.util, sys; sys.exit(importlib.util.find_spec({name!r}) is None)"

@@ -32,11 +32,11 @@ def claims(text: str) -> list[str]:
         "All rights reserved.",
     ],
 )
-def test_a_line_that_claims_a_copyright_is_recognised(line):
+def test_copyright_lines_are_recognised(line):
     assert claims(line) == [line]
 
 
-def test_no_file_carries_somebody_elses_copyright():
+def test_no_file_contains_a_foreign_copyright():
     words = ["git", "ls-files", "-z"]
     listed = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=False)
     if listed.returncode:

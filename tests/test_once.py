@@ -3,7 +3,7 @@
 from .apparatus import once
 
 
-def test_workers_share_what_one_of_them_made(tmp_path, monkeypatch):
+def test_workers_share_what_one_of_them_computed(tmp_path, monkeypatch):
     monkeypatch.setattr(once, "folder", tmp_path)
     made = []
 
@@ -18,7 +18,7 @@ def test_workers_share_what_one_of_them_made(tmp_path, monkeypatch):
     assert made == [2, 3]
 
 
-def test_without_a_folder_each_process_makes_its_own(monkeypatch):
+def test_without_a_folder_each_process_computes_its_own(monkeypatch):
     monkeypatch.setattr(once, "folder", None)
     made = []
     for _ in range(2):

@@ -20,7 +20,7 @@ MOST_LINES = 5_999
 
 
 @pytest.mark.slow
-def test_the_site_builds_without_a_warning(tmp_path):
+def test_the_site_builds_without_warnings(tmp_path):
     # A copy, since pages are generated into it; the notebooks run in `make docs` only.
     shutil.copytree(DOCS, tmp_path / "docs", ignore=shutil.ignore_patterns("_build", "reference"))
     for folder in ("examples", "studies", "benchmarks", "packages"):
@@ -57,7 +57,7 @@ def texts(source: str) -> set[str]:
     return found
 
 
-def test_each_message_that_troubleshooting_quotes_is_one_of_ours():
+def test_messages_quoted_in_troubleshooting_exist():
     page = (DOCS / "troubleshooting.md").read_text("utf-8")
     quoted = re.findall(r"^\| `(.*?)` \|", page, re.MULTILINE)
     folders = (DOCS.parent / "src", *DOCS.parent.glob("packages/*/src"))
@@ -72,7 +72,7 @@ def test_each_message_that_troubleshooting_quotes_is_one_of_ours():
     assert not unknown
 
 
-def test_each_command_on_a_page_exists_with_its_options():
+def test_commands_on_pages_exist_with_their_options():
     commands = known_commands()
     pages = [*DOCS.rglob("*.md"), *DOCS.parent.glob("*.md"), *DOCS.parent.glob("examples/*.md")]
     pages += [*DOCS.parent.glob("studies/*.md"), *DOCS.parent.glob("benchmarks/*.md")]
@@ -100,7 +100,7 @@ def anchors(page: Path) -> set[str]:
     return {re.sub(r"[^\w\- ]", "", title).strip().replace(" ", "-") for title in plain}
 
 
-def test_each_link_between_pages_leads_to_a_file_and_a_heading_that_exist():
+def test_links_between_pages_lead_to_existing_headings():
     root = DOCS.parent
     pages = [*root.glob("*.md"), *DOCS.rglob("*.md")]
     for folder in ("studies", "benchmarks", "examples"):
@@ -132,7 +132,7 @@ def test_the_guides_stay_short():
     assert len((DOCS / "results.md").read_text("utf-8").splitlines()) <= 150
 
 
-def test_no_line_begins_with_a_percent_sign():
+def test_no_line_starts_with_a_percent_sign():
     # MyST reads it as a comment, and the rest of the line disappears from the page.
     pages = [*DOCS.rglob("*.md"), *DOCS.parent.glob("examples/*.md")]
     text = {

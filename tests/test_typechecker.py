@@ -23,7 +23,7 @@ class Pair:
 
 
 @pytest.mark.parametrize("kind", [total, Pair])
-def test_shapes_are_checked_together(kind):
+def test_shapes_are_checked_jointly(kind):
     kind(np.ones(3), np.ones(3))
     with pytest.raises(TypeCheckError):
         kind(np.ones(3), np.ones(1))
@@ -32,7 +32,7 @@ def test_shapes_are_checked_together(kind):
 
 
 @pytest.mark.parametrize("time", [1, 2])
-def test_of_many_calls_the_first_are_checked(time):
+def test_only_the_first_calls_are_checked(time):
     with pytest.raises(TypeCheckError):
         total(-np.ones(3), np.ones(3))
     for _ in range(typechecker.CHECKED):
@@ -40,14 +40,14 @@ def test_of_many_calls_the_first_are_checked(time):
     assert len(total(-np.ones(3), np.ones(3))) == 2
 
 
-def test_the_package_is_checked():
+def test_calls_of_the_package_are_checked():
     from airpuck.physics.thrust import is_monotone
 
     with pytest.raises(TypeCheckError):
         is_monotone(np.ones(3))
 
 
-def test_a_program_is_found_again_after_its_functions_were_checked():
+def test_a_compiled_program_is_reused_after_its_functions_were_checked():
     from airpuck.compute.compiled import program
 
     @typechecker.jaxtyped(typechecker=typechecker.check)

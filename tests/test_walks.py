@@ -42,7 +42,7 @@ def called(names, walk):
 
 
 @pytest.mark.slow
-def test_a_recording_becomes_a_verdict_by_the_stated_calls(tmp_path):
+def test_the_stated_calls_turn_a_recording_into_a_verdict(tmp_path):
     model = airpuck.read_model("paper:M3")
     for seed in (1, 2):
         airpuck.write_bag(airpuck.excite(model, 8.0, seed=seed), tmp_path / f"bag{seed}")
@@ -52,7 +52,7 @@ def test_a_recording_becomes_a_verdict_by_the_stated_calls(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_model_file_becomes_a_command_by_the_stated_calls():
+def test_the_stated_calls_turn_a_model_file_into_a_command():
     def fly():
         model = airpuck.read_model("paper:M3")
         target = airpuck.SetPoint(0.2, 0.0, 0.0)
@@ -65,7 +65,7 @@ def test_a_model_file_becomes_a_command_by_the_stated_calls():
 
 
 @pytest.mark.slow
-def test_the_first_pose_of_the_puck_becomes_a_command_by_the_stated_calls():
+def test_the_stated_calls_turn_the_first_puck_pose_into_a_command():
     players = map(airpuck_hockey.contestant, ("airpuck", "human"))
     game = airpuck_hockey.Game(*players, seed=1)
     walk = stated("From the first pose of the puck to a motor command")
@@ -74,7 +74,7 @@ def test_the_first_pose_of_the_puck_becomes_a_command_by_the_stated_calls():
 
 
 @pytest.mark.slow
-def test_the_papers_table_comes_from_the_authors_data_by_the_stated_calls(data, tmp_path):
+def test_the_stated_calls_turn_the_authors_data_into_the_papers_table(data, tmp_path):
     def stop(line):
         if line.startswith("identified"):
             raise InterruptedError  # one fit makes all of the calls

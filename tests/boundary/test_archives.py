@@ -36,19 +36,19 @@ def zip_member(name: str, data: bytes, *, says: int, method: int = 8, flags: int
 
 
 @pytest.mark.parametrize("says", [4 * GIB - 1, 1000], ids=["honest", "lying"])
-def test_a_bomb_in_a_trajectory(tmp_path: Path, says: int):
+def test_a_zip_bomb_in_a_trajectory_is_rejected(tmp_path: Path, says: int):
     path = written(tmp_path, zip_member("about.npy", zeros_deflated(6 * GIB), says=says), "a.npz")
     assert path.stat().st_size < 8 * MIB
     refusal(read_trajectory, path, says="limit of 4 MiB" if says > GIB else "not a trajectory")
 
 
-def test_a_bomb_in_the_authors_file(tmp_path: Path):
+def test_a_zip_bomb_in_the_authors_file_is_rejected(tmp_path: Path):
     path = tmp_path / "data.pt"
     path.write_bytes(zip_member("data/data.pkl", zeros_deflated(6 * GIB), says=4 * GIB - 1))
     refusal(read_authors_experiment, path, says="compressed")
 
 
-def test_a_hole_of_gigabytes_in_the_authors_file(tmp_path: Path):
+def test_a_sparse_file_of_gigabytes_is_rejected(tmp_path: Path):
     whole = archive(tmp_path / "data.pt").read_bytes()
     with zipfile.ZipFile(tmp_path / "data.pt") as content:
         size = content.getinfo("data/data/1").file_size
@@ -103,19 +103,23 @@ def test_an_archive_written_by_hand_is_read(tmp_path: Path, flight):
         ({"format": ["airpuck"]}, "format"),
     ],
 )
-def test_what_a_trajectory_says_about_itself(tmp_path: Path, flight, about, field: str):
+def test_invalid_metadata_of_a_trajectory_names_its_field(
+    tmp_path: Path, flight, about, field: str
+):
     assert field in refusal(read_trajectory, npz(tmp_path / "a.npz", flight, **about), says=".")
 
 
 @pytest.mark.parametrize("method", [zipfile.ZIP_LZMA, zipfile.ZIP_BZIP2])
-def test_other_ways_of_packing(tmp_path: Path, flight, method: int):
+def test_unsupported_compression_is_rejected(tmp_path: Path, flight, method: int):
     refusal(read_trajectory, npz(tmp_path / "a.npz", flight, method=method), says="about.*deflate")
 
 
 @pytest.mark.parametrize(
     ("method", "flags", "says"), [(8, 1, "encrypted"), (99, 0, "a method other than deflate")]
 )
-def test_encrypted_and_unknown_members(tmp_path: Path, method: int, flags: int, says: str):
+def test_encrypted_and_unknown_members_are_rejected(
+    tmp_path: Path, method: int, flags: int, says: str
+):
     content = zip_member("about.npy", b"x" * 50, says=50, method=method, flags=flags)
     refusal(read_trajectory, written(tmp_path, content, "a.npz"), says=says)
 
@@ -123,14 +127,16 @@ def test_encrypted_and_unknown_members(tmp_path: Path, method: int, flags: int, 
 @pytest.mark.parametrize(
     "text", ['{"format": ' + "[" * 100_000 + "]" * 100_000 + "}", '{"a": ' + "9" * 5000 + "}"]
 )
-def test_what_is_said_is_nested_or_long(tmp_path: Path, flight, text: str):
+def test_metadata_that_is_nested_too_deeply_or_too_long_is_rejected(
+    tmp_path: Path, flight, text: str
+):
     path = npz(tmp_path / "a.npz", flight)
     with zipfile.ZipFile(path, "w") as target, target.open("about.npy", "w") as member:
         np.save(member, np.array(text))
     refusal(read_trajectory, path, says="nested|digits")
 
 
-def test_an_archive_of_very_many_members(tmp_path: Path):
+def test_an_archive_with_too_many_members_is_rejected(tmp_path: Path):
     path = tmp_path / "a.npz"
     with zipfile.ZipFile(path, "w") as target:
         for number in range(30_000):

@@ -24,7 +24,7 @@ STRANGE = (object(), 1j, {1, 2}, NotImplemented)
 
 
 @pytest.mark.parametrize("name", FUNCTIONS)
-def test_what_is_no_argument_is_named(name):
+def test_an_argument_of_a_wrong_type_is_named(name):
     function = FUNCTIONS[name]
     parameters = inspect.signature(function).parameters.values()
     for parameter, strange in itertools.product(parameters, STRANGE):
@@ -74,7 +74,7 @@ def test_what_is_no_argument_is_named(name):
         ),
     ],
 )
-def test_what_is_wrong_is_said(call, words):
+def test_messages_name_the_wrong_argument(call, words):
     with pytest.raises(Exception, match=words) as error:
         call()
     # In tests, the checked signature of a constructor may reject the value first.
@@ -109,7 +109,7 @@ def short():
     )
 
 
-def test_a_type_that_is_imported_for_type_checkers_only_is_not_checked():
+def test_types_imported_for_type_checkers_only_are_not_checked():
     assert fits(5, Any) and fits("five", Any)
 
 
@@ -128,6 +128,6 @@ def test_a_type_that_is_imported_for_type_checkers_only_is_not_checked():
         (lambda: airpuck.Goal(0, 0, 0, (0, 0, 0), "exact", 1), r"Goal\(\): too many"),
     ],
 )
-def test_a_call_that_does_not_fit_names_the_function_and_suggests_an_argument(call, message):
+def test_a_wrong_call_names_the_function_and_suggests_an_argument(call, message):
     with pytest.raises(TypeError, match=message):
         call()

@@ -54,14 +54,16 @@ def with_chunks(path: Path, data: bytes, compression: str, says: int, times: int
 
 @pytest.mark.parametrize("compression", ["zstd", "lz4"])
 @pytest.mark.parametrize("size", [6 * GIB, GIB])
-def test_a_bomb_that_says_so(tmp_path: Path, compression: str, size: int):
+def test_a_chunk_that_declares_too_large_a_size_is_rejected(
+    tmp_path: Path, compression: str, size: int
+):
     data = zeros_zstd(size) if compression == "zstd" else zeros_lz4(size)
     path = with_chunks(tmp_path / "a.mcap", data, compression, size)
     refusal(read_recording, path, says="limit of 256 MiB")
 
 
 @pytest.mark.parametrize("compression", ["zstd", "lz4"])
-def test_a_bomb_that_lies_costs_only_its_chunk(tmp_path: Path, compression: str):
+def test_a_chunk_larger_than_declared_costs_only_itself(tmp_path: Path, compression: str):
     whole = read_recording(write_mcap(tmp_path / "b.mcap", foreign_topics()))
     data = zeros_zstd(6 * GIB) if compression == "zstd" else zeros_lz4(6 * GIB)
     path = with_chunks(tmp_path / "a.mcap", data, compression, 1000)
@@ -82,7 +84,7 @@ def test_a_bomb_that_lies_costs_only_its_chunk(tmp_path: Path, compression: str)
     ],
     ids=["gigabytes", "very many messages", "empty records"],
 )
-def test_chunks_that_unpack_to_too_much(tmp_path: Path, record, count, times, says):
+def test_chunks_that_unpack_to_too_much_are_rejected(tmp_path: Path, record, count, times, says):
     import zstandard
 
     data = zstandard.ZstdCompressor(1).compress(record * count)
@@ -90,12 +92,12 @@ def test_chunks_that_unpack_to_too_much(tmp_path: Path, record, count, times, sa
     refusal(read_recording, path, says=says)
 
 
-def test_a_whole_file_that_unpacks_to_gigabytes(tmp_path: Path):
+def test_a_file_that_unpacks_to_gigabytes_is_rejected(tmp_path: Path):
     path = written(tmp_path, zeros_zstd(6 * GIB), "a.db3.zstd")
     refusal(read_recording, path, says="unpacks to more than 100 times")
 
 
-def test_an_index_in_circles(tmp_path: Path):
+def test_an_index_that_loops_or_points_outside_the_file_is_rejected(tmp_path: Path):
     """Lengths and offsets that lead back or beyond the file."""
     content = bytearray(write_mcap(tmp_path / "a.mcap", foreign_topics()).read_bytes())
     for length in (0, 2**63, 2**64 - 1):
@@ -104,21 +106,21 @@ def test_an_index_in_circles(tmp_path: Path):
         assert len(read_recording(tmp_path / "a.mcap")["pose"]) == 960
 
 
-def test_a_topic_with_a_message_that_is_too_long(tmp_path: Path):
+def test_an_overlong_message_of_a_topic_is_rejected(tmp_path: Path):
     topics = foreign_topics()
     msgtype, text, messages = topics["/drone/control"]
     topics["/drone/control"] = (msgtype, text, [*messages, (messages[-1][0], bytes(2 * MIB))])
     refusal(read_recording, write_mcap(tmp_path / "a.mcap", topics), says="limit of 1 MiB")
 
 
-def test_a_topic_with_very_many_definitions(tmp_path: Path):
+def test_a_topic_with_too_many_definitions_is_rejected(tmp_path: Path):
     msgtype, text, messages = foreign_topics()["/drone/control"]
     channels = [("/a", msgtype, f"{text}\n# {k}\n", messages[:1]) for k in range(200)]
     path = write_channels(tmp_path / "a.mcap", *channels)
     refusal(read_recording, path, says="defines a topic in too many ways")
 
 
-def test_long_messages_of_other_topics_are_passed_over(tmp_path: Path):
+def test_long_messages_of_other_topics_are_skipped(tmp_path: Path):
     topics = foreign_topics()
     start = topics["/rosout"][2][0][0]
     pictures = [(start + i, bytes([i]) * (3 * MIB)) for i in range(5)]
@@ -138,14 +140,14 @@ def test_long_messages_of_other_topics_are_passed_over(tmp_path: Path):
         ("UPDATE message_definitions SET encoded_message_definition = zeroblob(9)", "not text"),
     ],
 )
-def test_blobs_in_a_database(tmp_path: Path, statement: str, says: str):
+def test_oversized_blobs_in_a_database_are_rejected(tmp_path: Path, statement: str, says: str):
     rosbags_folder(tmp_path / "bag")
     with sqlite3.connect(tmp_path / "bag" / "bag.db3") as database:
         database.execute(statement)
     refusal(read_recording, tmp_path / "bag" / "bag.db3", says=says)
 
 
-def test_a_generated_column_of_gigabytes(tmp_path: Path):
+def test_a_generated_column_of_gigabytes_is_rejected(tmp_path: Path):
     path = tmp_path / "a.db3"
     with sqlite3.connect(path) as database:
         database.executescript(f"""
@@ -161,7 +163,7 @@ def test_a_generated_column_of_gigabytes(tmp_path: Path):
     assert read_sqlite(path, {"/nothing"}).n_messages == 9000
 
 
-def test_tables_that_are_none(tmp_path: Path):
+def test_views_in_place_of_tables_are_rejected(tmp_path: Path):
     path = tmp_path / "a.db3"
     with sqlite3.connect(path) as database:
         database.executescript("""
@@ -204,7 +206,7 @@ def chain(depth: int, width: int, array: str = "") -> str:
     ],
     ids=lambda text: f"{len(text)}-{text[:12]!r}",
 )
-def test_definitions_that_grow(tmp_path: Path, text: str):
+def test_definitions_that_expand_too_far_are_rejected(tmp_path: Path, text: str):
     topics = foreign_topics()
     messages = topics["/drone/control"][2]
     topics["/drone/control"] = ("a/msg/A", text, messages)
@@ -227,7 +229,7 @@ IDL = "module a {{ module msg {{ {} struct A {{ double x; }}; }}; }};"
     ],
     ids=lambda text: text[18:50],
 )
-def test_definitions_that_compute(text: str):
+def test_definitions_that_compute_values_are_rejected(text: str):
     refusal(
         lambda: definitions("a/msg/A", text, idl=True),
         says="a/msg/A (is defined|computes)|definition of a/msg/A",
@@ -235,7 +237,7 @@ def test_definitions_that_compute(text: str):
     )
 
 
-def test_a_definition_with_comments_and_annotations():
+def test_a_definition_may_have_comments_and_annotations():
     text = """
         @verbatim (language="comment", text="Two (2) * products << 3.")
         /* ((( */ // (((

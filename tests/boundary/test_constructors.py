@@ -186,13 +186,13 @@ def test_impossible_values_are_named(kind):
         assert error.value.field == field, (number, error.value)
 
 
-def test_a_measurement_may_hold_what_a_pilot_has_to_bear():
+def test_a_measurement_may_hold_nan():
     steered = controller()
     steered.measured(airpuck.Measurement("pose", 0.0, np.full(3, NAN)))
     assert steered.step(0.0).status == "bad input"
 
 
-def test_values_that_callers_use_are_still_accepted():
+def test_lists_and_arrays_remain_accepted():
     assert plan(time=[0, 0.5], states=np.zeros((2, 12)).tolist(), commands=[[0] * 6]).duration
     assert M3.simulate([0.0] * 12, [[0.5] * 6] * 2, [0.01, 0.02]).shape == (2, 12)
     assert airpuck.Goal(0, 1, velocity=np.zeros(3)).state[3:].tolist() == [0, 0, 0]

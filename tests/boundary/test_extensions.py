@@ -139,7 +139,7 @@ def test_the_help_lists_added_commands_and_a_broken_one_costs_one_line(installed
     assert "airpuck-guest adds broken, but it cannot be used (AttributeError" in broken
 
 
-def test_a_broken_command_is_one_line_that_names_its_distribution(installed):
+def test_a_broken_command_ends_in_one_line_naming_its_distribution(installed):
     assert refused(installed("broken"), "upgrade or uninstall airpuck-guest")
 
 
@@ -150,7 +150,7 @@ def test_an_export_of_another_distribution_writes_its_files(installed, tmp_path)
 
 
 @pytest.mark.slow
-def test_a_law_of_another_distribution_is_named_like_ours(installed):
+def test_a_law_of_another_distribution_is_selected_by_name(installed):
     ended = installed("track", "--dwell", "0.1", "--law", "idle", "--json", "-")
     assert ended.returncode == 0, ended.stderr
     assert refused(installed("track", "--law", "idel"), "did you mean 'idle'?")
@@ -173,12 +173,12 @@ def test_a_campaign_computes_items_of_another_distribution(installed, tmp_path):
         ("export", "paper:M2", "--to", "gym-hockey", "-o", "out"),
     ],
 )
-def test_without_air_hockey_its_names_say_what_to_install(installed, words):
+def test_without_air_hockey_its_names_state_what_to_install(installed, words):
     ended = installed(*words, without=("airpuck_hockey",))
     assert refused(ended, "is part of airpuck-hockey", "pip install airpuck-hockey")
 
 
-def test_without_air_hockey_former_public_names_say_what_to_install():
+def test_without_air_hockey_former_names_state_what_to_install():
     code = "import sys; sys.modules['airpuck_hockey'] = None; import airpuck; "
     code += "from airpuck import control; assert not hasattr(airpuck, 'Game'); "
     for error, use in (
@@ -191,7 +191,7 @@ def test_without_air_hockey_former_public_names_say_what_to_install():
         assert last.endswith("pip install airpuck-hockey")
 
 
-def test_a_campaign_of_games_without_air_hockey_says_what_to_install(installed, tmp_path):
+def test_a_campaign_of_games_without_air_hockey_states_what_to_install(installed, tmp_path):
     spec = tmp_path / "spec.toml"
     spec.write_text('kind = "match"\n')
     ended = installed("campaign", spec, "-o", tmp_path / "out", without=("airpuck_hockey",))
@@ -207,14 +207,14 @@ def test_a_campaign_of_games_without_air_hockey_says_what_to_install(installed, 
         ("Selection", r"airpuck\.Study"),
     ],
 )
-def test_a_former_name_tells_what_replaces_it(former, now):
+def test_a_former_name_names_its_replacement(former, now):
     with pytest.raises(AttributeError, match=f"use {now}"):
         getattr(airpuck, former)
     with pytest.raises(ImportError, match=f"use {now}"):
         exec(f"from airpuck import {former}")
 
 
-def test_a_former_option_tells_what_replaces_it():
+def test_a_former_option_names_its_replacement():
     refused(commands.airpuck("identify", "bag", "--adam", "7"), "--adam", "studies/adam.py")
     refused(commands.airpuck("track", "--regulator", "mpc"), "--regulator", "use --law")
     refused(commands.airpuck("excite", "--model", "paper:M3"), "--model", "use --truth")
@@ -224,7 +224,7 @@ def test_a_former_option_tells_what_replaces_it():
     refused(commands.airpuck("play-live", "--model", "m.toml"), "--model", "play-live m.toml")
 
 
-def test_a_former_argument_or_attribute_tells_what_replaces_it():
+def test_a_former_argument_or_attribute_names_its_replacement():
     model, tuning = airpuck.read_model("paper:M4"), airpuck.default_tuning()
     for call in (airpuck.track, airpuck.TrackingController):
         with pytest.raises(TypeError, match="no argument 'regulator'; did you mean 'law'"):
@@ -239,7 +239,7 @@ def test_a_former_argument_or_attribute_tells_what_replaces_it():
     assert not hasattr(tuning, "nonsense")
 
 
-def test_help_shows_no_function_among_the_defaults():
+def test_help_shows_no_functions_as_defaults():
     for name in ("study", "race", "design", "tune", "commission", "animate", "campaign"):
         shown = pydoc.plain(pydoc.render_doc(getattr(airpuck, name)))
         assert "<function" not in shown and len(shown.splitlines()[2]) < 1200, name

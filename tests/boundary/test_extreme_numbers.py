@@ -76,7 +76,7 @@ def leaves(content, place=()):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", READERS)
-def test_an_extreme_number_is_refused_or_harmless(tmp_path, kind):
+def test_an_extreme_number_is_rejected_or_harmless(tmp_path, kind):
     content, use = READERS[kind]
     path = tmp_path / "file.toml"
     if content is None:
@@ -107,10 +107,10 @@ def test_a_mass_of_1e308_names_its_field(tmp_path):
         airpuck.read_table(tmp_path / "table.toml")
 
 
-def test_a_byte_order_mark_is_no_part_of_a_file(tmp_path):
+def test_a_byte_order_mark_is_ignored(tmp_path):
     (tmp_path / "table.toml").write_bytes(b"\xef\xbb\xbf[puck]\nmass_kg = 0.02\n")
     assert airpuck.read_table(tmp_path / "table.toml").puck.mass_kg == 0.02
 
 
-def test_percentages_of_both_signs():
+def test_percentages_keep_their_sign():
     assert [percent(x) for x in (0.012, -0.012, 0.2, -0.2)] == ["1.2 %", "-1.2 %", "20 %", "-20 %"]

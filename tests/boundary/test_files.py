@@ -61,7 +61,7 @@ from ..apparatus.refusals import refusal, rejected, written
     ],
     ids=lambda value: f"{value[:20]!r}" if len(value) < 40 else f"{value[:10]!r}-{len(value)}",
 )
-def test_hostile_toml(tmp_path: Path, text: str | bytes, says: str):
+def test_hostile_toml_is_rejected(tmp_path: Path, text: str | bytes, says: str):
     refusal(load_toml, written(tmp_path, text), says=says)
 
 
@@ -76,7 +76,7 @@ def test_hostile_toml(tmp_path: Path, text: str | bytes, says: str):
         ("\xff", "not valid JSON"),
     ],
 )
-def test_hostile_json(tmp_path: Path, text: str, says: str):
+def test_hostile_json_is_rejected(tmp_path: Path, text: str, says: str):
     refusal(load_json, written(tmp_path, text, "a.json"), says=says)
 
 
@@ -99,11 +99,11 @@ MERGED = "".join(f"k{i}: &k{i} {{<<: [*a, *a]}}\n" for i in range(9))
     ],
     ids=lambda value: f"{value[:8]!r}-{len(value)}",
 )
-def test_hostile_yaml(tmp_path: Path, text: str, says: str):
+def test_hostile_yaml_is_rejected(tmp_path: Path, text: str, says: str):
     refusal(load_yaml, written(tmp_path, text, "a.yaml"), says=says)
 
 
-def test_a_hostile_summary_does_not_keep_a_bag_from_being_read(tmp_path: Path):
+def test_a_bag_with_a_hostile_summary_can_be_read(tmp_path: Path):
     rosbags_folder(tmp_path / "bag")
     (tmp_path / "bag" / "metadata.yaml").write_text("a: b\n" * 4_000_000)
     assert len(read_recording(tmp_path / "bag")["pose"]) == 5
@@ -121,19 +121,19 @@ def test_a_hostile_summary_does_not_keep_a_bag_from_being_read(tmp_path: Path):
     ],
     ids=lambda value: f"{value[:5]!r}-{len(value)}",
 )
-def test_hostile_tables(tmp_path: Path, text: str | bytes, says: str):
+def test_hostile_tables_are_rejected(tmp_path: Path, text: str | bytes, says: str):
     path = written(tmp_path, text, "a.csv")
     refusal(lambda path: list(csv_rows(path)), path, says=says)
 
 
-def test_a_table_of_very_many_cells(tmp_path: Path):
+def test_a_table_with_too_many_cells_is_rejected(tmp_path: Path):
     row = "1," * (COLUMNS - 1) + "1\n"
     path = written(tmp_path, row * (CELLS // COLUMNS + 1), "a.csv")
     refusal(lambda path: sum(1 for _ in csv_rows(path)), path, says="cells")
 
 
 @pytest.mark.parametrize("read", [load_toml, load_json, load_yaml])
-def test_an_endless_device(read):
+def test_an_endless_device_is_rejected(read):
     refusal(read, Path("/dev/zero"), says="too long")
 
 
@@ -154,7 +154,7 @@ with little_memory(20 * MIB):
 """
 
 
-def test_running_out_of_memory_is_one_line(tmp_path: Path):
+def test_running_out_of_memory_ends_in_one_line(tmp_path: Path):
     # Use long numbers: for short ones the allocator keeps finding gaps, slowly, for minutes.
     written(tmp_path, "a,b\n" + f"{'1' * 3000},2\n" * 16_000, "control.csv")
     command = [sys.executable, "-c", NO_MEMORY, str(tmp_path)]
@@ -171,7 +171,7 @@ class Example(Section):
     either: tuple[float, ...] | tuple[tuple[float, ...], ...] = ()
 
 
-def test_missing_file(tmp_path):
+def test_a_missing_file_is_reported(tmp_path):
     with pytest.raises(InputError, match="no such file"):
         read_toml(tmp_path / "none.toml", Example)
 
@@ -204,7 +204,7 @@ class Nested(Section):
     other: Example = Example(mass_kg=3.0)
 
 
-def test_a_file_laid_over_a_base_changes_what_it_names(tmp_path):
+def test_an_overlay_changes_only_the_fields_that_it_names(tmp_path):
     path, base = tmp_path / "one.toml", Nested(example=Example(mass_kg=1.0, rows=((1.0,), (2.0,))))
     path.write_text("[example]\nrows = [[3.0]]")
     expected = Example(mass_kg=1.0, rows=((3.0,),))
@@ -216,7 +216,7 @@ def test_a_file_laid_over_a_base_changes_what_it_names(tmp_path):
 
 
 @given(st.lists(st.lists(st.floats(-1e15, 1e15), max_size=4), max_size=4))
-def test_floats_read_back_bit_equal(tmp_path_factory, rows):
+def test_floats_round_trip_exactly(tmp_path_factory, rows):
     path = tmp_path_factory.mktemp("toml") / "example.toml"
     write_toml(path, {"mass_kg": 0.1, "rows": rows}, header="two\nlines")
     content = read_toml(path, Example)
@@ -228,7 +228,7 @@ def test_floats_read_back_bit_equal(tmp_path_factory, rows):
     )
 
 
-def test_rows_are_written_as_rows(tmp_path):
+def test_rows_are_written_one_per_line(tmp_path):
     path = tmp_path / "example.toml"
     write_toml(path, {"rows": [[1.0, 2.0], [3.0, 4.0]], "names": ["a, b", "[c]"]})
     assert "    [1.0, 2.0],\n    [3.0, 4.0],\n" in path.read_text()
@@ -247,13 +247,13 @@ def test_a_failed_write_leaves_the_old_file(tmp_path):
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_a_folder_that_cannot_be_made(tmp_path):
+def test_a_folder_that_cannot_be_created_is_reported(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="cannot be written"), replacing(tmp_path / "file" / "x"):
         pass
 
 
-def test_the_hash_of_the_standard(tmp_path: Path):
+def test_hashes_match_the_example_of_the_standard(tmp_path: Path):
     (tmp_path / "abc").write_bytes(b"abc")
     # FIPS 180-2, appendix B.1.
     assert sha256(tmp_path / "abc") == (
@@ -261,7 +261,7 @@ def test_the_hash_of_the_standard(tmp_path: Path):
     )
 
 
-def test_what_cannot_be_read(tmp_path: Path):
+def test_hashing_a_folder_or_a_missing_file_raises(tmp_path: Path):
     with pytest.raises(InputError, match="cannot be read"):
         sha256(tmp_path)
     with pytest.raises(InputError, match="no such file"):

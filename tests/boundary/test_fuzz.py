@@ -22,17 +22,17 @@ def assert_good(cases: int, first: int = 0) -> str:
 
 
 @pytest.mark.parametrize("kind", ["mcap", "data.pt"])
-def test_some_damaged_recordings(kind):
+def test_damaged_recordings_are_read_or_rejected(kind):
     (tally,) = fuzz([kind], 10).values()
     assert not tally.failures, tally.failures[0]
     assert sum(tally.outcomes.values()) == 10
 
 
 @pytest.mark.slow
-def test_damaged_files():
+def test_damaged_files_are_read_or_rejected():
     assert_good(30)
 
 
 @pytest.mark.study
-def test_a_hundred_thousand_damaged_files():
+def test_a_hundred_thousand_damaged_files_are_read_or_rejected():
     print(assert_good(100_000 // len(KINDS) + 1, first=1000))

@@ -12,7 +12,7 @@ LATE = Finding("clock", "The poses are stamped late", "80 ms", "Synchronise the 
 WEAK = Finding("actuator", "m4 is weak", "84 ± 0.5 % of the others")
 
 
-def test_causes_come_before_what_they_cause():
+def test_causes_come_before_their_consequences():
     drag = Finding("physics", "The model lacks drag")
     assert by_cause([drag, WEAK, LATE, WEAK]) == (LATE, WEAK, drag)
 
@@ -21,7 +21,7 @@ def test_only_errors_of_the_recording_make_it_suspect():
     assert LATE.suspect and not WEAK.suspect
 
 
-def test_a_finding_is_a_sentence_and_four_fields():
+def test_a_finding_is_a_sentence_with_four_fields():
     assert LATE.sentence == "The poses are stamped late (80 ms). Synchronise the clocks."
     assert WEAK.sentence == "m4 is weak (84 ± 0.5 % of the others)."
     assert LATE.to_json() == {
@@ -56,7 +56,7 @@ class Outer(Result):
         return np.array([[1.0, np.nan], [-np.inf, 2.0]])
 
 
-def test_figures_are_those_declared_and_valid_json():
+def test_figures_match_their_declaration_and_are_valid_json():
     outer = Outer(0.5, SimpleNamespace(delay=np.float64(0.02)), np.ones(2), (Inner(3),), np.ones(9))
     figures = outer.to_json()
     assert figures == {
@@ -70,14 +70,14 @@ def test_figures_are_those_declared_and_valid_json():
     assert json.loads(json.dumps(figures, allow_nan=False)) == figures
 
 
-def test_what_is_not_known_stays_none_and_results_nest():
+def test_unknown_values_stay_none_and_results_nest():
     outer = Outer(np.nan, SimpleNamespace(delay=1), None, (), np.ones(1))
     written = plain({"outer": [outer]})["outer"][0]
     assert written["loss"] is None
     assert written["rmse"] is None
 
 
-def test_a_result_is_shown_in_short_with_units_counted_lists_and_ellipses():
+def test_the_short_form_of_a_result_has_units_counts_and_ellipses():
     @dataclass(frozen=True)
     class Found(Result):
         JSON = "delay_s=delay errors facts words"

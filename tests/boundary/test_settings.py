@@ -25,7 +25,7 @@ LOOPBACK = socket.if_nameindex()[0][1]
         (check_interface, f"{LOOPBACK}x", LOOPBACK),
     ],
 )
-def test_an_unknown_name_suggests_the_nearest(call, given, near):
+def test_an_unknown_name_suggests_the_closest_one(call, given, near):
     with pytest.raises(InputError, match=f"did you mean '{near}'\\?$"):
         call(given)
 

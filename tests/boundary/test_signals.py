@@ -31,7 +31,7 @@ class Interrupted:
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 @pytest.mark.parametrize("lost", [False, True])
-def test_signals_stop_what_runs_even_if_python_drops_the_first(number, lost):
+def test_signals_stop_a_command_even_if_python_drops_the_first(number, lost):
     before = signal.getsignal(number)
     with pytest.raises(Stopped) as stopped, stoppable():
         if lost:
@@ -42,7 +42,7 @@ def test_signals_stop_what_runs_even_if_python_drops_the_first(number, lost):
     assert signal.getsignal(number) is before
 
 
-def test_what_somebody_else_handles_or_ignores_stays_so():
+def test_existing_signal_handlers_are_kept():
     heard = []
     usual = signal.signal(signal.SIGINT, lambda *_: heard.append(1))
     ignored = signal.signal(signal.SIGTERM, signal.SIG_IGN)
@@ -58,7 +58,7 @@ def test_what_somebody_else_handles_or_ignores_stays_so():
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 @pytest.mark.parametrize("when", ["before", "after"])
-def test_the_process_ends_with_one_line_while_no_command_runs(number, when):
+def test_a_signal_between_commands_ends_the_process_with_one_line(number, when):
     code = (
         "import signal, sys\n"
         "from airpuck.boundary.signals import catch_signals, stoppable\n"
@@ -78,7 +78,7 @@ def test_a_signal_that_a_library_swallows_still_ends_the_command():
     assert stopped.value.number == signal.SIGTERM
 
 
-def test_a_session_that_is_ended_by_a_signal_is_no_failure():
+def test_a_session_ended_by_a_signal_is_not_a_failure():
     with stoppable():
         with until_stopped():
             signal.raise_signal(signal.SIGHUP)
@@ -87,7 +87,7 @@ def test_a_session_that_is_ended_by_a_signal_is_no_failure():
     assert ended
 
 
-def test_nothing_is_raised_while_a_library_in_another_language_is_loaded():
+def test_no_signal_is_raised_while_a_native_library_loads():
     code = SimpleNamespace(co_qualname="ExtensionFileLoader.create_module")
     loading = SimpleNamespace(f_code=code, f_back=None)
     inner = SimpleNamespace(f_code=SimpleNamespace(co_qualname="Any.thing"), f_back=loading)

@@ -38,7 +38,7 @@ def check_shown(objects: dict[str, Any]) -> None:
                 assert " object at 0x" not in shown and "<function" not in shown, (path, shown)
 
 
-def test_models_settings_and_controllers_are_shown_in_a_few_lines():
+def test_models_settings_and_controllers_have_short_representations():
     twin, tuning = airpuck.Twin(MODEL), airpuck.default_tuning()
     controller = airpuck.TrackingController(MODEL, HERE, law="mpc", compiled=False)
     log = airpuck.fly(controller, twin, duration=0.05)
@@ -70,7 +70,7 @@ def test_models_settings_and_controllers_are_shown_in_a_few_lines():
 
 
 @pytest.mark.slow
-def test_results_of_a_flight_are_shown_in_a_few_lines():
+def test_results_of_a_flight_have_short_representations():
     fit, trajectory = fit_of_flown(0.007, 40.0), flown(0.007, 40.0).trajectory
     log = airpuck.track(MODEL, HERE, 2.0)
     judged = airpuck.study(trajectory, model="M0")

@@ -47,14 +47,14 @@ def flown(name):
 
 @pytest.mark.parametrize("misdeed", MISDEEDS.values(), ids=MISDEEDS)
 @pytest.mark.parametrize("place", ["init", "reference", "step", "pose", "sent"])
-def test_a_pilot_that_misbehaves_is_one_line(tmp_path, capsys, place, misdeed):
+def test_a_misbehaving_pilot_ends_in_one_line(tmp_path, capsys, place, misdeed):
     name = written(tmp_path, PILOT, place, misdeed)
     with pytest.raises(InputError) as error:
         flown(name)
     one_line(error, name, capsys)
 
 
-def test_modules_beside_the_file_can_be_imported_and_hide_none(tmp_path):
+def test_modules_next_to_the_file_can_be_imported_and_shadow_none(tmp_path):
     (tmp_path / "beside_it.py").write_text("number = 5\n")
     (tmp_path / "json.py").write_text("1 / 0\n")
     (tmp_path / "mine.py").write_text("import json\nimport beside_it\ndef mine(): return json\n")
@@ -65,13 +65,13 @@ def test_modules_beside_the_file_can_be_imported_and_hide_none(tmp_path):
         del sys.modules["beside_it"]
 
 
-def test_a_folder_is_no_file_of_code(tmp_path):
+def test_a_folder_is_rejected_as_a_code_file(tmp_path):
     (tmp_path / "mine.py").mkdir()
     with pytest.raises(InputError, match=r"mine\.py: tactic: is a folder"):
         UserCode(f"{tmp_path / 'mine.py'}:Mine", "tactic")
 
 
-def test_a_law_whose_command_is_not_finite_is_named_by_its_file(tmp_path):
+def test_a_law_with_a_non_finite_command_is_named_by_its_file(tmp_path):
     file = tmp_path / "mine.py"
     file.write_text(
         "import airpuck\n"
@@ -85,7 +85,7 @@ def test_a_law_whose_command_is_not_finite_is_named_by_its_file(tmp_path):
         law.step(None, Moment(airpuck.SetPoint(0, 0, 0), 0.0, 0.0, lambda: None))
 
 
-def test_a_reference_of_a_pilot_that_misbehaves_is_one_line(tmp_path, capsys):
+def test_a_misbehaving_reference_of_a_pilot_ends_in_one_line(tmp_path, capsys):
     name = written(tmp_path, PILOT, "at")
     with pytest.raises(InputError) as error:
         flown(name)

@@ -56,7 +56,7 @@ def spec(tmp_path):
     return written
 
 
-def test_only_what_is_missing_is_computed(here, spec, tmp_path):
+def test_only_missing_items_are_computed(here, spec, tmp_path):
     states = []
     first = campaign(spec(2), tmp_path, progress=lambda *state: states.append(state))
     assert states == [(0, 2, 0), (1, 2, 0), (2, 2, 0)]
@@ -75,7 +75,7 @@ def test_only_what_is_missing_is_computed(here, spec, tmp_path):
 
 
 @pytest.mark.slow
-def test_failures_are_kept_and_run_again_when_asked(here, spec, tmp_path):
+def test_failures_are_kept_and_retried_on_request(here, spec, tmp_path):
     # 0.01 s of flight have fewer poses than an identification needs.
     text = 'kind = "recovery"\nseeds = {seeds}\nbase.duration_s = 0.02\n'
     found = campaign(spec(1, text), tmp_path)
@@ -85,7 +85,7 @@ def test_failures_are_kept_and_run_again_when_asked(here, spec, tmp_path):
     assert found.to_json()["failures"][0]["reason"]
 
 
-def test_a_campaign_of_failures_only_does_not_end_well(here, spec, tmp_path):
+def test_a_campaign_with_only_failures_fails(here, spec, tmp_path):
     text = 'kind = "recovery"\nseeds = {seeds}\nbase.duration_s = 0.02\n'
     process = airpuck("campaign", spec(2, text), "-o", tmp_path, "--quiet")
     assert refused(process, "every item failed")
@@ -93,7 +93,7 @@ def test_a_campaign_of_failures_only_does_not_end_well(here, spec, tmp_path):
 
 
 @pytest.mark.slow
-def test_interrupted_and_resumed(here, spec, tmp_path):
+def test_an_interrupted_campaign_resumes(here, spec, tmp_path):
     dwells = 'kind = "tracking"\nseeds = {seeds}\ngrid.dwell_s = '
     script = tmp_path / "airpuck_command.py"
     script.write_text("from airpuck.cli import main\nif __name__ == '__main__':\n    main()\n")
@@ -135,7 +135,7 @@ def test_equal_items_are_computed_once(tmp_path):
     assert len(done.results) == 2
 
 
-def test_what_is_written_reads_back(tmp_path):
+def test_written_results_round_trip(tmp_path):
     for entry, result in zip(ENTRIES, RESULTS, strict=True):
         assert read_result(tmp_path, entry.key) is None
         write_result(tmp_path, entry, result)
@@ -165,7 +165,7 @@ def test_results_do_not_reveal_the_home_folder(tmp_path, monkeypatch):
     assert '"truth": "~/models/a.toml"' in text
 
 
-def test_statistics_against_scipy():
+def test_statistics_match_scipy():
     values = np.random.default_rng(0).normal(size=101)
     found = statistics([*values, math.nan, math.inf])
     known = scipy.stats.describe(values)
@@ -177,7 +177,7 @@ def test_statistics_against_scipy():
     assert found["q05"] == np.sort(values)[5]
 
 
-def test_summary_of_each_setting():
+def test_each_setting_is_summarised():
     first, second = Campaign(ENTRIES, RESULTS, 0).settings
     assert [(s["items"], s["failed"]) for s in (first, second)] == [(1, 1), (1, 0)]
     assert first["figures"]["x_m"]["mean"] == 1.5
@@ -187,7 +187,7 @@ def test_summary_of_each_setting():
     assert math.isnan(second["figures"]["x_m"]["sd"])
 
 
-def test_the_table_has_every_row_and_every_failure(tmp_path):
+def test_the_table_lists_every_row_and_failure(tmp_path):
     Campaign(ENTRIES, RESULTS, 0).write_table(tmp_path / "results.csv")
     with (tmp_path / "results.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))

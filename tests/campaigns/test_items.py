@@ -28,7 +28,7 @@ from ..apparatus.synthetic_flights import record
         ({"law": "mpc"}, {"controller": "full", "laws": ["mpc"]}),
     ],
 )
-def test_a_flight_is_the_tracking_studys(fields, options):
+def test_a_flight_item_matches_the_tracking_study(fields, options):
     (row,) = Tracking(seed=3, dwell_s=0.4, **fields).run()
     model = published_model("M4")
     (flown,) = tracking_study([model], model, dwell=0.4, seed=3, **options)
@@ -41,7 +41,7 @@ def test_a_flight_is_the_tracking_studys(fields, options):
     assert row["clearance_m"] == pytest.approx((half - inside).min())
 
 
-def test_craft_vary_as_asked():
+def test_craft_vary_within_the_requested_spread():
     model = published_model("M3")
     assert varied(model, 0.0, 5) is model
     factors = [
@@ -60,7 +60,7 @@ def test_craft_vary_as_asked():
     assert np.abs(np.corrcoef(np.transpose(factors)) - np.eye(8)).max() < 0.25
 
 
-def test_recovery_errors_by_hand():
+def test_recovery_errors_match_a_hand_calculation():
     truth = published_model("M3")
     p = truth.parameters
     other = replace(
@@ -90,7 +90,7 @@ def flight(tmp_path_factory):
 
 
 @pytest.mark.study
-def test_fits_from_anywhere_end_at_the_same_place(flight):
+def test_fits_from_different_starts_agree(flight):
     plain = identify(load_trajectory(flight), "M2").model.parameters.to_vector()
     for seed in (1, 2):
         (row,) = Fitting(
@@ -104,7 +104,7 @@ def test_fits_from_anywhere_end_at_the_same_place(flight):
 
 
 @pytest.mark.study
-def test_resampled_fits_surround_the_fit(tmp_path):
+def test_resampled_fits_scatter_around_the_fit(tmp_path):
     """A quarter of a minute has eight blocks for nineteen parameters."""
     flight = str(tmp_path / "minute")
     write_csv(record(duration=60.0, noise=1e-4), tmp_path / "minute")
@@ -120,7 +120,7 @@ def test_resampled_fits_surround_the_fit(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_shortest_time_is_that_of_the_packaged_table():
+def test_a_shortest_time_matches_the_packaged_table():
     item = ShortestTime(distance_m=0.5, speed_m_s=0.5, direction_rad=0.3, seed=1)
     (row,) = item.run()
     velocity = 0.5 * np.array([np.cos(0.3), np.sin(0.3)])

@@ -35,7 +35,7 @@ def spec(tmp_path):
     return written
 
 
-def test_every_combination_with_every_seed(spec):
+def test_every_combination_is_run_with_every_seed(spec):
     entries = read_spec(spec())
     assert len(entries) == len({entry.key for entry in entries}) == 2 * 3 * 2
     found = [(e.item.controller, e.item.twin.radio.jitter_s, e.item.seed) for e in entries]
@@ -43,7 +43,7 @@ def test_every_combination_with_every_seed(spec):
     assert entries[0].setting == {"controller": "paper", "twin.radio.jitter_s": 0.0}
 
 
-def test_tables_are_laid_over_the_packaged_settings(spec):
+def test_tables_override_the_packaged_settings(spec):
     packaged = default_twin_settings()
     for entry in read_spec(spec()):
         radio = entry.item.twin.radio
@@ -52,11 +52,11 @@ def test_tables_are_laid_over_the_packaged_settings(spec):
         assert entry.item.twin.motion_capture == packaged.motion_capture
 
 
-def test_files_are_found_beside_the_spec(spec, tmp_path):
+def test_files_are_looked_up_next_to_the_spec(spec, tmp_path):
     assert read_spec(spec())[0].item.model == str(tmp_path / "model.toml")
 
 
-def test_a_recovery_takes_the_settings_of_an_excitation(spec):
+def test_a_recovery_accepts_the_settings_of_an_excitation(spec):
     text = 'kind = "recovery"\n[base]\nduration_s = 20.0\namplitude = [1.0, 0.5, 0.5]\nmargin_m = '
     (entry,) = read_spec(spec(f"{text}0.1\n"))
     assert (entry.item.margin_m, entry.item.amplitude) == (0.1, (1.0, 0.5, 0.5))
@@ -68,7 +68,7 @@ def keys(path):
     return {entry.key for entry in read_spec(path)}
 
 
-def test_a_changed_spec_changes_only_what_differs(spec):
+def test_a_changed_spec_recomputes_only_what_differs(spec):
     before = keys(spec())
     assert before < keys(spec(TRACKING.replace("seeds = 2", "seeds = [0, 1, 5]")))
     assert before > keys(spec(TRACKING.replace(", 0.03]", "]")))
@@ -77,7 +77,7 @@ def test_a_changed_spec_changes_only_what_differs(spec):
     assert not before & keys(spec(TRACKING.replace("loss = 0.1", "loss = 0.2")))
 
 
-def test_keys_follow_the_content_of_files_not_their_place(spec, tmp_path):
+def test_keys_depend_on_the_content_of_files_not_their_location(spec, tmp_path):
     before = keys(spec())
     shutil.copy(tmp_path / "model.toml", tmp_path / "other.toml")
     assert keys(spec(TRACKING.replace("model.toml", "other.toml"))) == before
@@ -120,6 +120,6 @@ def test_a_setting_given_twice_is_computed_once(spec):
         ('kind = "fit"\nbase = {recordings = ["."], resamplings = 9, robust = true}', ("robust",)),
     ],
 )
-def test_what_is_wrong_is_named(spec, text, words):
+def test_invalid_specs_are_rejected_by_field(spec, text, words):
     with rejected(*("spec.toml", *words) if "none.toml" not in text else words):
         read_spec(spec(text))

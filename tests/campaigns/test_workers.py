@@ -39,32 +39,32 @@ def run(tmp_path_factory):
     return results, runs
 
 
-def test_every_item_comes_to_an_end(run):
+def test_every_item_finishes(run):
     results, _ = run
     assert set(results) == set(range(12))
     assert {s for s, result in results.items() if result.failure} == {7, 10}
     assert all(result.rows for s, result in results.items() if s not in (7, 10))
 
 
-def test_a_killed_worker_loses_its_own_item_only(run):
+def test_a_killed_worker_loses_only_its_own_item(run):
     _, runs = run
     assert runs[3] == 2
     assert {n for s, n in runs.items() if s not in (3, 7)} == {1}
 
 
-def test_an_item_that_kills_its_workers_is_given_up(run):
+def test_an_item_that_kills_its_workers_is_abandoned(run):
     results, runs = run
     assert runs[7] == DEADLY
     assert "its worker died 3 times" in results[7].failure
 
 
-def test_what_an_item_refuses_is_its_failure(run):
+def test_an_error_raised_by_an_item_is_its_failure(run):
     results, runs = run
     assert results[10].failure == "figure: is not to be had"
     assert runs[10] == 1
 
 
-def test_a_scheduler_without_workers_is_refused(cluster, monkeypatch):
+def test_a_scheduler_without_workers_is_rejected(cluster, monkeypatch):
     monkeypatch.setattr(module, "PATIENCE", 0.5)
     with pytest.raises(InputError, match="has no workers"):
         list(dispatch([], workers=cluster.scheduler_address))
@@ -99,7 +99,7 @@ def test_a_signal_in_a_destructor_is_not_lost(cluster, tmp_path, number, handler
     assert signal.signal(number, before) is handler
 
 
-def test_a_missing_scheduler_is_refused(monkeypatch):
+def test_a_missing_scheduler_is_rejected(monkeypatch):
     monkeypatch.setattr(module, "PATIENCE", 0.3)
     with pytest.raises(InputError, match="no Dask scheduler answers there"):
         list(dispatch([], workers="tcp://127.0.0.1:9"))
@@ -108,7 +108,7 @@ def test_a_missing_scheduler_is_refused(monkeypatch):
 
 
 @pytest.mark.parametrize("workers", ["two", "localhost:8786", "0", 0, 1e9, ""])
-def test_workers_are_a_number_or_an_address(workers):
+def test_workers_are_given_as_a_number_or_an_address(workers):
     with pytest.raises(InputError, match="workers: must be"):
         checked_workers(workers)
     assert checked_workers("4") == 4

@@ -32,14 +32,14 @@ def identified(bag) -> Path:
     return path
 
 
-def test_the_help_lists_all_commands_and_then_each_still_has_its_options():
+def test_the_help_lists_all_commands_and_each_keeps_its_options():
     shown = airpuck_process().stdout
     assert all(name in shown for name in known_commands())
     assert all(len(command.params) for command in known_commands().values())
 
 
 @pytest.mark.parametrize("command", ["preprocess", "identify", "check"])
-def test_a_missing_recording_is_refused_before_any_library_is_imported(command):
+def test_a_missing_recording_is_rejected_before_any_library_is_imported(command):
     heavy = ("numpy", "rich", "airpuck.model", "airpuck.cli.live")
     code = f"""
 import atexit, sys
@@ -65,7 +65,7 @@ def test_help_texts_keep_their_units(name):
         assert (text or "").replace("\\", "").splitlines()[0] in shown
 
 
-def test_commands_are_verbs_of_the_package():
+def test_commands_are_named_like_the_functions_of_the_package():
     # airpuck.export, faults and fleet are packages, to check what would remain open, and `vehicle`
     # shows one. Others start a process on the graph; their functions are in airpuck.live.
     others = {"demo", "export", "faults", "fleet", "check", "vehicle", "race"}
@@ -78,17 +78,17 @@ def test_commands_are_verbs_of_the_package():
 
 @pytest.mark.parametrize("name", ["reproduce", "demo"])
 @pytest.mark.parametrize("option", ["-o", "--output", "--out"])
-def test_the_folder_of_a_study_may_be_called_as_elsewhere(tmp_path, name, option):
+def test_the_output_folder_has_the_same_option_names_everywhere(tmp_path, name, option):
     (tmp_path / "file").write_text("mine")
     process = airpuck(name, option, tmp_path / "file" / "out")
     assert refused(process, "-o", "cannot be written")
 
 
-def test_version():
+def test_the_version_is_printed():
     assert airpuck_process("--version").stdout.strip().startswith("airpuck 0.")
 
 
-def test_preprocess_writes_the_arrays(bag, tmp_path):
+def test_preprocess_writes_arrays(bag, tmp_path):
     process = ran("preprocess", bag, "-o", tmp_path / "traj.npz", "--json", "-")
     assert json.loads(process.stdout)["samples"] > 1800
     with np.load(tmp_path / "traj.npz") as archive:
@@ -97,7 +97,7 @@ def test_preprocess_writes_the_arrays(bag, tmp_path):
 
 
 @pytest.mark.slow
-def test_evaluate_prints_json_and_nothing_else(bag, identified, tmp_path):
+def test_evaluate_prints_only_json(bag, identified, tmp_path):
     process = airpuck_process("evaluate", identified, bag, "--json", "-")
     assert process.stderr == ""
     figures = json.loads(process.stdout)
@@ -114,7 +114,7 @@ def test_evaluate_prints_json_and_nothing_else(bag, identified, tmp_path):
     assert part["windows"] == pytest.approx(whole["windows"] / 2, abs=1)
 
 
-def test_check_agrees_and_disagrees(bag, tmp_path):
+def test_check_accepts_a_right_layout_and_rejects_a_wrong_one(bag, tmp_path):
     assert airpuck("check", bag).returncode == 0
     from airpuck.craft.vehicle import default_vehicle
 
@@ -133,7 +133,7 @@ def test_check_agrees_and_disagrees(bag, tmp_path):
     assert process.stderr.splitlines()[-1].endswith(": the y axis")
 
 
-def test_excite_says_how_often_a_rail_was_met(tmp_path):
+def test_excite_reports_how_often_a_rail_was_hit(tmp_path):
     tilted = tmp_path / "tilted.toml"
     tilted.write_text("[effects]\ntilt_rad = [0.0, 0.1]\n[radio]\nloss = 1.0")
     arguments = ("excite", "--duration", "3", "--twin", tilted, "--json", tmp_path / "f.json")
@@ -148,7 +148,7 @@ def test_excite_says_how_often_a_rail_was_met(tmp_path):
 
 
 @pytest.mark.parametrize("folder", [None, "elsewhere"])
-def test_track_says_that_it_flies_without_the_real_flights(monkeypatch, capsys, folder):
+def test_track_reports_that_it_flies_without_the_real_flights(monkeypatch, capsys, folder):
     monkeypatch.delenv("AIRPUCK_DATA", raising=False)
     if folder is not None:
         monkeypatch.setenv("AIRPUCK_DATA", folder)
@@ -161,7 +161,7 @@ def test_track_says_that_it_flies_without_the_real_flights(monkeypatch, capsys, 
     assert not capsys.readouterr().err
 
 
-def test_a_bad_recording_is_one_line_and_nothing_is_written(tmp_path):
+def test_a_bad_recording_ends_in_one_line_and_writes_nothing(tmp_path):
     write_csv(record(duration=4.0), tmp_path / "flight")
     (path,) = (tmp_path / "flight").glob("*pose*.csv")
     path.write_text("\n".join(path.read_text().splitlines()[:40]))
@@ -172,7 +172,7 @@ def test_a_bad_recording_is_one_line_and_nothing_is_written(tmp_path):
 
 
 @pytest.mark.slow
-def test_the_demo_walks_the_whole_way(tmp_path, undrawn, monkeypatch):
+def test_the_demo_runs_from_start_to_end(tmp_path, undrawn, monkeypatch):
     # A report needs five models and flights of 90 s, a test does not.
     monkeypatch.setattr("airpuck.report.reproduce.demo", partial(paper.demo, duration=14.0))
     monkeypatch.setattr("airpuck.report.reproduce._MODELS", ("M0", "M3"))
@@ -192,7 +192,7 @@ def test_datasets_are_listed_with_their_licences():
         assert any(name in line and licence in line for line in listed.stdout.splitlines())
 
 
-def test_a_closed_or_full_stream_is_no_bug(monkeypatch):
+def test_a_closed_or_full_stream_is_not_reported_as_a_bug(monkeypatch):
     with monkeypatch.context() as closed:
         closed.setattr("sys.argv", ["airpuck", "--version"])
         closed.setattr("sys.stdout", None)
@@ -209,7 +209,7 @@ def test_a_closed_or_full_stream_is_no_bug(monkeypatch):
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="has no full disk")
-def test_errors_that_cannot_be_printed_keep_their_status(monkeypatch):
+def test_errors_that_cannot_be_printed_keep_their_exit_status(monkeypatch):
     monkeypatch.setattr("sys.argv", ["airpuck", "nonsense"])
     file = os.open("/dev/full", os.O_WRONLY)
     full = io.TextIOWrapper(io.FileIO(file, "w"), write_through=True)

@@ -170,7 +170,9 @@ SIGNALS = [(signal.SIGINT, -1), (signal.SIGTERM, 1), (signal.SIGKILL, -1)]
         for number, write in SIGNALS
     ],
 )
-def test_a_signal_while_something_is_written(server, usual, folder, name, write, number):
+def test_a_signal_during_writing_leaves_old_files_intact(
+    server, usual, folder, name, write, number
+):
     written, _ = usual(name)
     old = prepare(name, folder, written)
     ended = server.run(*COMMANDS[name].split(), folder=folder, sent=number, write=write)
@@ -183,7 +185,7 @@ def test_a_signal_while_something_is_written(server, usual, folder, name, write,
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
 @pytest.mark.parametrize("share", [0.2, 0.5, 0.8])
 @pytest.mark.parametrize("name", COMMANDS)
-def test_a_signal_at_any_time(server, usual, folder, name, share, number):
+def test_a_signal_at_any_time_leaves_old_files_intact(server, usual, folder, name, share, number):
     written, wall_s = usual(name)
     rng = np.random.default_rng([list(COMMANDS).index(name), round(10 * share), number])
     after = wall_s * (share + rng.uniform(-0.1, 0.1))
@@ -199,7 +201,7 @@ def test_a_signal_at_any_time(server, usual, folder, name, share, number):
 @pytest.mark.parametrize(
     "name", [pytest.param(n, marks=[pytest.mark.study] * (n not in QUICK)) for n in COMMANDS]
 )
-def test_a_full_disk(server, usual, folder, name):
+def test_a_full_disk_is_reported(server, usual, folder, name):
     written, _ = usual(name)
     old = prepare(name, folder, written)
     ended = server.run(*COMMANDS[name].split(), folder=folder, full=True)
@@ -208,7 +210,7 @@ def test_a_full_disk(server, usual, folder, name):
     assert {file: left for file, left in files(folder / "out").items() if file in old} == old
 
 
-def test_standard_output_on_a_full_disk():
+def test_standard_output_to_a_full_disk_is_reported():
     command = [sys.executable, "-m", "airpuck", "--version"]
     with Path("/dev/full").open("w") as full:
         process = subprocess.run(
@@ -218,20 +220,20 @@ def test_standard_output_on_a_full_disk():
     assert process.stderr == "airpuck: output: cannot be used (No space left on device)\n"
 
 
-def test_a_reader_that_goes_away_is_no_failure():
+def test_a_reader_that_closes_early_is_not_a_failure():
     command = f"{sys.executable} -m airpuck --help | true"
     process = subprocess.run(command, shell=True, capture_output=True, text=True, check=False)
     assert process.stderr == ""
 
 
-def test_an_encoding_without_our_characters_does_no_harm():
+def test_output_in_a_limited_encoding_causes_no_failure():
     environment = {**os.environ, "PYTHONIOENCODING": "ascii"}
     done = airpuck_process("present", "paper:M3", env=environment)
     assert done.returncode == 0, done.stderr
     assert "\\xb7" in done.stdout or done.stdout.isascii()
 
 
-def test_odd_settings_of_the_drawing_library_do_no_harm(tmp_path):
+def test_unusual_drawing_settings_cause_no_failure(tmp_path):
     write_bag(record(), tmp_path / "bag")
     odd = {**os.environ, "MPLBACKEND": "nonsense", "SOURCE_DATE_EPOCH": "yesterday"}
     done = airpuck_process("animate", tmp_path / "bag", "-o", tmp_path / "a.gif", env=odd)
@@ -239,7 +241,7 @@ def test_odd_settings_of_the_drawing_library_do_no_harm(tmp_path):
     assert "Traceback" not in done.stderr
 
 
-def test_a_deleted_working_folder_and_a_link_to_itself_are_refused(tmp_path):
+def test_a_deleted_working_folder_and_a_self_link_are_rejected(tmp_path):
     gone, loop = tmp_path / "gone", tmp_path / "loop.toml"
     gone.mkdir()
     loop.symlink_to(loop)

@@ -48,7 +48,7 @@ def test_faults_are_printed_written_and_drawn(bag, tmp_path, undrawn):
     assert "jumping pose" in (tmp_path / "r" / "index.html").read_text()
 
 
-def test_a_full_table_lists_faults_before_drop_outs_and_long_ones_before_short_ones():
+def test_a_full_table_lists_faults_and_long_spans_first():
     gaps = [Span(k, k + 0.1, "gap") for k in range(5)]
     long_gap = Span(1.5, 1.9, "gap")
     short, stalled = Span(7.0, 7.1, "contact", 0.6), Span(2.5, 3.5, "motor_a_1 stalled", 0.9)
@@ -58,12 +58,12 @@ def test_a_full_table_lists_faults_before_drop_outs_and_long_ones_before_short_o
     assert listed_spans(spans, 30) == sorted(spans, key=lambda span: span.start)
 
 
-def test_with_a_model_nothing_is_fitted(bag):
+def test_nothing_is_fitted_if_a_model_is_given(bag):
     process = ran("faults", bag, "--model", "paper:M3", "--json", "-")
     assert json.loads(process.stdout)["model"] == "M3"
 
 
-def test_identify_tells_what_it_left_out(bag, tmp_path, undrawn):
+def test_identify_reports_excluded_spans(bag, tmp_path, undrawn):
     out = ("-o", tmp_path / "m.toml", "--report", tmp_path / "r", "--json", tmp_path / "f.json")
     process = airpuck("identify", bag, *out)
     # Eight seconds hardly determine the timing: the recording may count as suspect.
@@ -75,7 +75,7 @@ def test_identify_tells_what_it_left_out(bag, tmp_path, undrawn):
     assert "windows overlap a fault" in (tmp_path / "r" / "index.html").read_text()
 
 
-def test_a_model_and_a_vehicle_are_refused(bag, tmp_path):
+def test_giving_both_a_model_and_a_vehicle_is_rejected(bag, tmp_path):
     vehicle = tmp_path / "v.toml"
     default_vehicle().save(vehicle)
     refused(airpuck("faults", bag, "--model", "paper:M3", "--vehicle", vehicle), "--vehicle")

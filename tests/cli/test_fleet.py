@@ -24,7 +24,7 @@ time_s = 0.0
 """
 
 
-def test_a_flight_is_told_drawn_and_written(tmp_path):
+def test_a_flight_is_summarised_drawn_and_written(tmp_path):
     path = tmp_path / "two.toml"
     path.write_text(SCENARIO)
     gif, page = tmp_path / "two.gif", tmp_path / "page"
@@ -45,7 +45,7 @@ def test_a_flight_is_told_drawn_and_written(tmp_path):
         assert picture.n_frames == pytest.approx(20 * (figures["settled_s"] + 0.3), abs=3)
 
 
-def test_a_mistake_in_a_scenario_ends_with_one_line(tmp_path):
+def test_a_mistake_in_a_scenario_ends_in_one_line(tmp_path):
     path = tmp_path / "two.toml"
     path.write_text(SCENARIO.replace("[0.4, -0.1, 0.0]", "[-0.3, 0.15, 0.0]"))
     assert refused(airpuck("fleet", path), "two.toml: start: of right is 0.05 m from that of left")

@@ -49,7 +49,7 @@ def places(tmp_path):
 
 
 @pytest.mark.parametrize(("name", "option", "kind"), list(outputs()))
-def test_a_bad_output_is_refused_before_anything_is_read(places, name, option, kind):
+def test_a_bad_output_is_rejected_before_anything_is_read(places, name, option, kind):
     bad = {"": "is empty", "x" * 300: "255 bytes", "file/x": "cannot be written"}
     bad["/proc/none/x"] = "cannot be written"
     if kind == "file":
@@ -65,14 +65,14 @@ def test_a_bad_output_is_refused_before_anything_is_read(places, name, option, k
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
-def test_what_is_protected_is_refused(places):
+def test_write_protected_outputs_are_rejected(places):
     (places / "file").chmod(0o444)
     assert refused(airpuck("present", "m", "--json", "file", cwd=places), "write-protected")
     (places / "folder").chmod(0o555)
     assert refused(airpuck("present", "m", "--json", "folder/x", cwd=places), "Permission denied")
 
 
-def test_a_folder_without_permission(places, monkeypatch):
+def test_a_folder_without_write_permission_is_rejected(places, monkeypatch):
     def denied(*_, **__):
         raise PermissionError(13, "Permission denied")
 
@@ -81,7 +81,7 @@ def test_a_folder_without_permission(places, monkeypatch):
     assert refused(process, "folder/x", "--json", "Permission denied")
 
 
-def test_nothing_is_written_over_what_is_read(tmp_path):
+def test_inputs_are_never_overwritten(tmp_path):
     published_model("M3").save(tmp_path / "model.toml")
     (tmp_path / "link.toml").symlink_to("model.toml")
     before = (tmp_path / "model.toml").read_bytes()
@@ -94,7 +94,7 @@ def test_nothing_is_written_over_what_is_read(tmp_path):
     assert (tmp_path / "model.toml").read_bytes() == before
 
 
-def test_names_that_are_too_long_or_empty(tmp_path):
+def test_overlong_and_empty_names_are_rejected(tmp_path):
     long = "x" * 5000
     vehicle = ("excite", "-o", "b", "--vehicle", long)
     for words in (("evaluate", "m", long), ("evaluate", long, "r"), vehicle):
@@ -117,14 +117,14 @@ EVIL = "\x1b[31mred\x1b]0;title\x07\r\u202e\x9b31m[bold]:smile:\nnext"
 SHOWN = r"\x1b[31mred\x1b]0;title\x07\r\u202e\x9b31m[bold]:smile:\nnext"
 
 
-def test_what_commands_a_terminal_is_escaped():
+def test_terminal_control_sequences_are_escaped():
     assert escaped(EVIL) == SHOWN
     assert escaped("motor_a_1 ± 3 µm … „Größe“ 猫") == "motor_a_1 ± 3 µm … „Größe“ 猫"
     # A file name that is not UTF-8.
     assert escaped(os.fsdecode(b"caf\xe9")) == r"caf\udce9"
 
 
-def test_tables_lines_and_errors_print_names_as_they_are(capsys):
+def test_tables_lines_and_errors_escape_names(capsys):
     report({}, EVIL, table([EVIL, "x"], [[EVIL, "[red]1[/red]"]], title=EVIL))
     printed = capsys.readouterr().out
     assert "\x1b" not in printed and "\x9b" not in printed and "\u202e" not in printed
@@ -133,7 +133,7 @@ def test_tables_lines_and_errors_print_names_as_they_are(capsys):
 
 
 @pytest.mark.slow
-def test_names_of_propellers_topics_and_files(tmp_path):
+def test_names_of_propellers_topics_and_files_are_escaped(tmp_path):
     evil = "\x1b[31m[red]"
     path = tmp_path / "model.toml"
     published_model("M3").save(path)
@@ -158,14 +158,14 @@ def test_names_of_propellers_topics_and_files(tmp_path):
         ("", "airpuck present /home/al/m.toml --json=/home/al/x /home/alice/y /mnt/home/al"),
     ],
 )
-def test_the_foot_of_a_page_does_not_name_the_home_folder(monkeypatch, home, shown):
+def test_the_page_footer_does_not_reveal_the_home_folder(monkeypatch, home, shown):
     words = ["present", "/home/al/m.toml", "--json=/home/al/x", "/home/alice/y", "/mnt/home/al"]
     monkeypatch.setattr("sys.argv", ["/home/al/bin/airpuck", *words])
     monkeypatch.setenv("HOME", home)
     assert origin().command == shown
 
 
-def test_the_date_of_a_page_is_that_of_the_environment(monkeypatch):
+def test_the_page_date_follows_the_environment_variable(monkeypatch):
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "1700000000")
     assert origin().date == "2023-11-14 22:13 UTC"  # date -u -d @1700000000
     for nonsense in ("9" * 30, "9" * 400, "253402300800", "yesterday", "-1", ""):
@@ -203,7 +203,7 @@ def test_every_number_has_limits(tmp_path, name, option, size, whole):
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_the_help_names_limits_and_no_truth_values(name):
+def test_the_help_shows_limits_and_no_bool_types(name):
     shown = airpuck(name, "--help", env={**os.environ, "COLUMNS": "200"}).stdout
     assert "bool" not in shown
     assert "<float" not in shown and "<int" not in shown
@@ -211,7 +211,7 @@ def test_the_help_names_limits_and_no_truth_values(name):
     assert 1 <= len(options) - 1 <= 12  # besides --help
 
 
-def test_limits():
+def test_numbers_beyond_their_limits_are_rejected():
     above = Range(0, 1, "why", above=True)
     assert str(above) == "above 0, at most 1"
     assert str(Range(1, 2**63 - 1, "why", "s")) == "1 to 9.22e18 s"
@@ -226,7 +226,7 @@ def test_limits():
                 limits.check(value, "x")
 
 
-def test_limits_hold_in_python_as_well():
+def test_limits_also_apply_in_python():
     from airpuck import Loss
 
     for make in (
@@ -253,7 +253,7 @@ def completions(*words: str) -> list[str]:
 
 
 @pytest.mark.slow
-def test_the_shell_completes():
+def test_the_shell_completes_options():
     assert completions("airpuck", "iden") == ["identify", "identify-puck"]
     assert completions("airpuck", "identify", "--st") == ["--stride"]
     # Completion does not reject the preceding words.
@@ -263,7 +263,7 @@ def test_the_shell_completes():
     assert completions("airpuck", "identify", "x", "--model", "M5") == ["M5"]
 
 
-def test_time_that_is_left_is_said_while_there_is_some(capsys):
+def test_the_remaining_time_is_shown_until_the_end(capsys):
     with show_time_left("flights") as progress:
         for done in (0.5, 1.0):
             progress(done, 1.0)
@@ -272,7 +272,7 @@ def test_time_that_is_left_is_said_while_there_is_some(capsys):
     assert last == "flights: 100 %"
 
 
-def test_quiet_hides_progress_and_warnings_but_no_results(capsys):
+def test_quiet_hides_progress_and_warnings_but_not_results(capsys):
     def shown(**given):
         with output_for(**given):
             with show_time_left("flights") as progress, show_progress() as tell:

@@ -70,7 +70,7 @@ def searched(monkeypatch):
     return asked
 
 
-def test_json_stands_alone_on_standard_output(searched, tmp_path):
+def test_json_is_the_only_standard_output(searched, tmp_path):
     process = airpuck("plan", *FROM, *TO, "--json", "-", "-o", "plan.toml", cwd=tmp_path)
     assert (process.returncode, process.stderr) == (0, "")
     figures = json.loads(process.stdout)
@@ -79,7 +79,7 @@ def test_json_stands_alone_on_standard_output(searched, tmp_path):
     assert read_plan(tmp_path / "plan.toml", published_model("M3")).duration == 0.5
 
 
-def test_rare_options_may_stand_in_a_file(searched, tmp_path):
+def test_rare_options_may_be_given_in_a_file(searched, tmp_path):
     file = tmp_path / "careful.toml"
     file.write_text("reserve = 0.1\nkeep_out = [[0.0, 0.2, 0.05]]\nvia = [[0.1, 0.1], [0.2, 0.0]]")
     asks = ("plan", *FROM, *TO, "--settings", "careful.toml", "--reserve", 0.2, "--via", -0.1, 0)
@@ -99,7 +99,7 @@ def test_rare_options_may_stand_in_a_file(searched, tmp_path):
     assert refused(airpuck(*asks, cwd=tmp_path), "none.toml: there is no such file")
 
 
-def test_the_help_has_the_everyday_options_and_names_the_rest():
+def test_the_help_shows_everyday_options_and_names_the_rest():
     everyday, whole = (airpuck("plan", option).stdout for option in ("--help", "--help-all"))
     assert "--from" in everyday and "--reserve" in everyday and "--help-all" in everyday
     assert "--smoothing" not in everyday
@@ -118,7 +118,7 @@ def planned(tmp_path_factory):
 
 
 @pytest.mark.slow
-def test_a_plan_is_said_and_written(planned):
+def test_a_plan_is_printed_and_written(planned):
     path, figures, said = planned
     assert figures["converged"] is True
     assert 0 < figures["lower_bound_s"] < figures["time_s"] < 0.7
@@ -146,7 +146,7 @@ def test_an_unknown_course_is_named():
     )
 
 
-def test_a_plan_in_place_of_the_model_is_told_apart(tmp_path, monkeypatch):
+def test_passing_a_plan_as_the_model_is_explained(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     model, times = package.read_model("paper:M3"), np.array([0.0, 0.5])
     at_rest = package.Plan(model, times, np.zeros((2, 12)), np.zeros((1, 6)), lower_bound=None)

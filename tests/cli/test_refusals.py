@@ -49,12 +49,12 @@ def with_nan(values):
         ("acceleration", lambda _: None, "is missing"),
     ],
 )
-def test_a_damaged_trajectory(archive, tmp_path, name, change, word):
+def test_a_damaged_trajectory_is_rejected(archive, tmp_path, name, change, word):
     path = damaged(archive, tmp_path / "bad.npz", name, change)
     assert refused(airpuck("evaluate", "paper:M3", path), "bad.npz", name, word)
 
 
-def test_lengths_that_differ_are_refused_where_nothing_checks_shapes(archive, tmp_path):
+def test_unequal_lengths_are_rejected_without_the_type_checker(archive, tmp_path):
     path = damaged(archive, tmp_path / "bad.npz", "state", lambda x: x[:-5])
     process = airpuck_process("evaluate", "paper:M3", path)
     assert refused(process, "bad.npz", "state", "shape")
@@ -117,7 +117,7 @@ def test_bad_usage_writes_nothing(bag, archive, tmp_path, arguments, words):
     assert not list(tmp_path.iterdir())
 
 
-def test_the_demo_deletes_nothing_of_yours(tmp_path):
+def test_the_demo_deletes_no_files_of_the_user(tmp_path):
     mine = tmp_path / "bags" / "training" / "flight.mcap"
     mine.parent.mkdir(parents=True)
     mine.write_text("mine")
@@ -125,7 +125,7 @@ def test_the_demo_deletes_nothing_of_yours(tmp_path):
     assert mine.read_text() == "mine"
 
 
-def test_a_file_that_the_controller_refuses_is_named(tmp_path):
+def test_a_file_that_the_controller_rejects_is_named(tmp_path):
     from airpuck.model.model_file import published_model
 
     published = published_model("M3")
@@ -157,7 +157,7 @@ def test_motors_that_never_move_are_named(tmp_path):
 
 
 @pytest.mark.slow
-def test_too_little_data_is_no_failure_of_ours(tmp_path):
+def test_too_little_data_causes_no_traceback(tmp_path):
     recording = record(duration=0.6, noise=1e-4)
     write_bag(recording, tmp_path / "bag")
     process = airpuck("identify", tmp_path / "bag", "-o", "m.toml", cwd=tmp_path)

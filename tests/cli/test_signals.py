@@ -71,7 +71,7 @@ def on_a_terminal(folder: Path, *arguments: str) -> Iterator[tuple[subprocess.Po
             os.close(outside)
 
 
-def test_ctrl_c_while_a_plan_is_solved_ends_with_one_line(tmp_path: Path):
+def test_ctrl_c_during_planning_ends_with_one_line(tmp_path: Path):
     done = subprocess.run(
         [sys.executable, "-c", INTERRUPTED + MAIN, *PLAN],
         capture_output=True,
@@ -85,7 +85,7 @@ def test_ctrl_c_while_a_plan_is_solved_ends_with_one_line(tmp_path: Path):
 
 
 @pytest.mark.parametrize("begun", [False, True])
-def test_a_terminal_that_closes_ends_a_command_with_129_and_a_line(tmp_path: Path, begun: bool):
+def test_closing_the_terminal_ends_a_command_with_status_129(tmp_path: Path, begun: bool):
     with on_a_terminal(tmp_path, *PLAN) as (process, outside):
         time.sleep(1.5 if begun else 0.5)  # while it imports, or while it works
         if process.poll() is not None:
@@ -96,7 +96,7 @@ def test_a_terminal_that_closes_ends_a_command_with_129_and_a_line(tmp_path: Pat
     assert [path.name for path in tmp_path.iterdir()] == ["stderr"]
 
 
-def test_a_game_on_a_terminal_that_closes_is_kept(tmp_path: Path):
+def test_a_game_is_kept_when_its_terminal_closes(tmp_path: Path):
     connect = pytest.importorskip("websockets.sync.client").connect
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = str(free.getsockname()[1])

@@ -22,7 +22,7 @@ def file(tmp_path):
     return path
 
 
-def test_propellers_and_motions_are_shown(file, tmp_path):
+def test_the_vehicle_command_shows_propellers_and_motions(file, tmp_path):
     process = ran("vehicle", file, "--json", tmp_path / "v.json")
     for words in ("137.7 g, radius 70 mm", "motor_b_2", "turn right"):
         assert words in process.stdout
@@ -33,20 +33,20 @@ def test_propellers_and_motions_are_shown(file, tmp_path):
     assert 7.9 < figures["motions"]["alone"]["forward_m_s2"] < 2 * 0.644 * 0.866 / 0.1377
 
 
-def test_what_cannot_be_done_is_said(tmp_path):
+def test_the_vehicle_command_names_impossible_motions(tmp_path):
     four_propellers().save(tmp_path / "craft.toml")
     process = ran("vehicle", tmp_path / "craft.toml")
     assert "no propeller turns it right (clockwise)" in process.stdout
 
 
 @pytest.mark.parametrize(("suffix", "begins"), [("svg", b"<?xml"), ("png", b"\x89PNG")])
-def test_it_is_drawn(file, tmp_path, suffix, begins):
+def test_the_vehicle_is_drawn(file, tmp_path, suffix, begins):
     out = tmp_path / f"craft.{suffix}"
     assert ran("vehicle", file, "-o", out).stdout.splitlines()[-1] == str(out)
     assert out.read_bytes().startswith(begins)
 
 
-def test_wrong_use_is_refused(file, tmp_path):
+def test_unknown_formats_and_implausible_masses_are_rejected(file, tmp_path):
     assert refused(airpuck("vehicle", file, "-o", tmp_path / "craft.jpg"), ".svg", "-o")
     file.write_text(file.read_text().replace("mass_kg = 0.1377", "mass_kg = 137.7"))
     assert refused(airpuck("vehicle", file), "mass_kg = 137.7", "grams?")
@@ -55,7 +55,7 @@ def test_wrong_use_is_refused(file, tmp_path):
 pytestmark = pytest.mark.slow
 
 
-def test_what_was_read_with_a_warning_says_so(tmp_path):
+def test_commands_that_read_a_damaged_recording_repeat_its_warning(tmp_path):
     """A recording whose log ends in the middle, in commands that only read it."""
     bag = tmp_path / "bag"
     write_bag(record(duration=4.0), bag)
@@ -73,7 +73,7 @@ def test_preprocessed_recordings_are_checked(tmp_path):
     assert "agree" in ran("check", tmp_path / "t.npz").stdout
 
 
-def test_one_file_under_two_names_is_no_output_twice(tmp_path):
+def test_one_file_cannot_be_two_outputs_under_two_paths(tmp_path):
     (tmp_path / "in").mkdir()
     out = ("-o", tmp_path / "m.toml", "--json", tmp_path / "in" / ".." / "m.toml")
     assert refused(airpuck("identify", "bag", *out), "is also the output of -o")
@@ -90,7 +90,7 @@ def flown(tmp_path_factory):
     return folder
 
 
-def test_present_prints_and_writes(flown):
+def test_present_prints_and_writes_json(flown):
     process = ran("present", flown / "early.toml")
     assert "for control" in process.stdout.splitlines()[0]
     for words in ("free: first-order lag", "±", "bandwidth", "loss", "data "):
@@ -101,7 +101,7 @@ def test_present_prints_and_writes(flown):
     assert lag["interval_95"][0] < lag["value"] < lag["interval_95"][1]
 
 
-def test_resid_prints_and_writes(flown, tmp_path, undrawn):
+def test_resid_prints_and_writes_json(flown, tmp_path, undrawn):
     out = ("-o", tmp_path / "page", "--json", tmp_path / "r.json")
     process = ran("resid", flown / "early.toml", flown / "bag", "--lags", 10, *out)
     assert "innovations are" in process.stdout
@@ -138,7 +138,7 @@ def test_evaluate_and_compare_write_pages(flown, tmp_path, undrawn, monkeypatch)
     assert refused(airpuck(*words, "--law", "bogus"), "bogus", "mpc")
 
 
-def test_compare_of_two_models_tells_drift(flown):
+def test_comparing_two_models_reports_drift(flown):
     models = flown / "early.toml", flown / "late.toml"
     process = ran("compare", *models)
     assert "moved" in process.stdout or "fell" in process.stdout or "rose" in process.stdout
@@ -148,7 +148,7 @@ def test_compare_of_two_models_tells_drift(flown):
     assert {"rmse", "fit_percent", "aic", "bic"} <= set(figures["evaluations"][1])
 
 
-def test_models_without_a_common_quantity_are_compared_on_the_recording(flown, tmp_path):
+def test_models_without_known_errors_are_compared_on_the_recording(flown, tmp_path):
     # As after an unfinished fit: nothing in it has a standard error.
     late = read_model(flown / "late.toml")
     assert late.uncertainty is not None
@@ -164,7 +164,7 @@ def test_models_without_a_common_quantity_are_compared_on_the_recording(flown, t
     assert len(figures["evaluations"]) == 2
 
 
-def test_what_cannot_be_compared_is_refused(flown):
+def test_invalid_comparisons_are_rejected(flown):
     assert refused(airpuck("compare", flown / "early.toml"), "RECORDING")
     assert refused(airpuck("compare", "paper:M3", "paper:M4"), "known errors")
     wrong = airpuck("compare", "paper:M3", flown / "bag", "--protocol", "causal")

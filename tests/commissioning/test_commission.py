@@ -38,7 +38,7 @@ def rough() -> Vehicle:
     return Vehicle.model_validate(content)
 
 
-def test_a_craft_with_a_rough_file_earns_a_trusted_model(tmp_path):
+def test_a_craft_with_an_inaccurate_file_gets_a_trusted_model(tmp_path):
     twin, said = Twin(TRUTH, QUIET, seed=4), list[str]()
     given = rough()
     found = commission(twin, given, tmp_path, tell=said.append)
@@ -86,7 +86,7 @@ def on_a_slope(tilt: float, x: float) -> Twin:
     return Twin(TRUTH, settings, seed=1, pose=(x, 0.0, 0.0))
 
 
-def test_a_motor_that_failed_to_start_is_tried_again_after_the_others_brought_the_craft_back():
+def test_a_motor_that_failed_to_start_is_retried_after_the_craft_is_back():
     twin = on_a_slope(0.02, 0.35)
     found = commission(twin, default_vehicle(), steps=STEPS[1:3])
     assert [step.step for step in found.steps] == ["rest", "pulses"]
@@ -97,14 +97,14 @@ def test_a_motor_that_failed_to_start_is_tried_again_after_the_others_brought_th
     assert not twin.craft.contacts
 
 
-def test_a_motor_that_a_slope_leaves_no_time_to_try_is_not_called_dead():
+def test_a_motor_not_tried_because_of_a_slope_is_not_called_dead():
     found = commission(on_a_slope(0.03, 0.5), default_vehicle(), steps=STEPS[1:3])
     assert found.outcome == "table"
     assert found.findings[0].cause == "The table slopes by 31 mrad"
     assert "before motor_a_2 was tried often enough" in found.findings[0].evidence
 
 
-def test_a_camera_that_fails_in_flight_ends_the_run_with_everything_kept(tmp_path):
+def test_a_camera_failure_in_flight_ends_the_run_and_keeps_all_data(tmp_path):
     twin = Twin(TRUTH, changed(QUIET, motion_capture={"gaps_s": ((5.9, 1e4),)}), seed=2)
     found = commission(twin, default_vehicle(), tmp_path, steps=STEPS[1:4])
     assert found.outcome == "poses"
@@ -135,7 +135,7 @@ def eight_propellers() -> Vehicle:
     return Vehicle.model_validate(content)
 
 
-def test_a_motor_that_has_not_been_tried_yet_idles_while_the_others_bring_the_craft_back():
+def test_an_untried_motor_idles_while_the_others_bring_the_craft_back():
     tilt = TwinSettings(effects={"tilt_rad": (0.0, 0.015)}).effects
     settings, truth = QUIET.model_copy(update={"effects": tilt}), nominal_model(eight_propellers())
     twin = Twin(truth, settings, seed=5, pose=(0.0, -0.2, 0.0))
@@ -149,7 +149,7 @@ def test_a_motor_that_has_not_been_tried_yet_idles_while_the_others_bring_the_cr
     assert found.steps[-1].step == "pulses"
 
 
-def test_a_pulse_that_a_rail_cuts_off_is_no_try():
+def test_a_pulse_cut_off_by_a_rail_does_not_count():
     # The first pulse of m1 is complete, the second is not; then the craft is at a rail.
     late = {"motor": "m1", "start_s": 0.0, "stop_s": 2.0, "share": 0.0}
     settings = TwinSettings(motors={"weak": [late]}, effects={"tilt_rad": (0.0, 0.02)})
@@ -179,7 +179,7 @@ class TooLittle:
         return SimpleNamespace(model=TRUTH, verdict=self.said, findings=())
 
 
-def test_excitations_grow_longer_while_they_tell_too_little():
+def test_excitations_grow_longer_until_they_suffice():
     steps = [Excitations(duration_s=1.0, most=4)]
     found = commission(Twin(TRUTH, QUIET), default_vehicle(), steps=steps, work=TooLittle())
     assert found.outcome == "excitation"

@@ -12,7 +12,7 @@ from ..apparatus.processes import COMMANDS, IDLE, Process, Watch
 pytestmark = [pytest.mark.slow, pytest.mark.realtime]
 
 
-def test_ctrl_c_ends_a_run_on_the_graph_with_idle_motors_and_all_flights_kept(domain, tmp_path):
+def test_ctrl_c_ends_a_live_run_with_idle_motors_and_keeps_all_flights(domain, tmp_path):
     twin, watch = Process("twin", "--quiet", domain=domain), Watch(domain)
     run = None
 

@@ -29,7 +29,7 @@ def stated(vehicle: Vehicle, order: list[int], turned: int | None = None) -> Veh
 
 
 @pytest.mark.parametrize("name", VEHICLES)
-def test_swapped_and_turned_motors_are_put_where_they_act(name):
+def test_swapped_and_reversed_motors_are_identified(name):
     true = VEHICLES[name]()
     n = len(true.propellers)
     wrong = stated(true, [2, 1, 0, *range(3, n)], turned=1)
@@ -51,7 +51,7 @@ ALL, EACH_ONCE, BACKWARDS = range(8), (0, 5, 6, 3), (4, 5, 6, 7)
 
 
 @pytest.mark.parametrize("tried", [ALL, EACH_ONCE, BACKWARDS])
-def test_propellers_that_push_both_ways_are_put_where_they_act(tried):
+def test_two_way_propellers_are_identified(tried):
     one_way = VEHICLES["four"]().model_copy(update={"pairs": ()})
     true = with_propellers(one_way, lambda k, _: {"reverse": 0.5 + 0.1 * k})
     wrong = stated(true, [1, 0, 2, 3], turned=2)
@@ -73,7 +73,7 @@ EXCHANGED, CIRCLE = [3, 1, 2, 0, 4, 5], [2, 1, 4, 3, 0, 5]
     ("order", "tried"),
     [*((EXCHANGED, t) for t in ((0,), (0, 1), (1, 3), (0, 1, 3, 4, 5))), (CIRCLE, (0, 1, 4, 5))],
 )
-def test_an_untried_motor_is_placed_by_elimination(order, tried):
+def test_an_untried_motor_is_identified_by_elimination(order, tried):
     true = default_vehicle()
     wrong = stated(true, order)
     seen = np.full((3, 6), np.nan)
@@ -82,7 +82,7 @@ def test_an_untried_motor_is_placed_by_elimination(order, tried):
     assert effects(right) == pytest.approx(effects(true), abs=1e-9)
 
 
-def test_pairs_follow_the_motors_to_their_places():
+def test_pairs_follow_their_motors():
     wrong = default_vehicle()
     # The true craft has the sockets of the first two pairs' first motors exchanged.
     true = stated(wrong, [2, 1, 0, 3, 4, 5])
@@ -96,7 +96,7 @@ def test_pairs_follow_the_motors_to_their_places():
 
 @pytest.mark.parametrize("name", VEHICLES)
 @pytest.mark.parametrize("inertia", [0.4, 2.4])
-def test_a_wrong_inertia_hides_no_motor_s_place(name, inertia):
+def test_a_wrong_inertia_does_not_prevent_identifying_motors(name, inertia):
     vehicle = VEHICLES[name]()
     model, seen = nominal_model(vehicle), effects(vehicle)
     # As noise of a pulse might turn a push, on top.
@@ -105,12 +105,12 @@ def test_a_wrong_inertia_hides_no_motor_s_place(name, inertia):
     assert all(match.acts_as == k for k, match in matched(model, seen).items())
 
 
-def test_a_right_file_stays_as_it_is():
+def test_a_correct_file_is_unchanged():
     vehicle = default_vehicle()
     assert corrected(vehicle, matched(nominal_model(vehicle), effects(vehicle))) == vehicle
 
 
-def test_pulses_give_thrusts_and_inertia_in_units_of_the_stated_mass():
+def test_pulses_determine_thrusts_and_inertia_relative_to_the_mass():
     rough, thrusts = default_vehicle(), np.array([0.6, 1.8, 1.1, 0.9, 1.4, 0.7])
     seen = effects(rough) * thrusts
     seen[2] /= 1.3
@@ -120,7 +120,7 @@ def test_pulses_give_thrusts_and_inertia_in_units_of_the_stated_mass():
     assert found.nominal.transport_delay_s == 0.05
 
 
-def test_pulses_backwards_tell_the_thrust_of_a_propeller_that_was_not_tried_forwards():
+def test_reverse_pulses_estimate_a_forward_thrust_that_was_not_tried():
     one_way = VEHICLES["four"]().model_copy(update={"pairs": ()})
     rough = with_propellers(one_way, lambda *_: {"reverse": 0.6})
     seen = effects(rough) * [0.5, np.nan, 1.0, 1.2, 0.7, 0.4, 1.1, np.nan]

@@ -74,7 +74,7 @@ def test_a_run_without_useful_poses_ends_with_the_cause(link, kind, cause):
 
 
 @pytest.mark.slow
-def test_a_craft_that_no_motor_moves_is_not_flown():
+def test_a_craft_that_does_not_respond_is_not_flown():
     link = Still(rate=240.0)
     found = commission(link, VEHICLE)
     assert found.outcome == "actuator"
@@ -96,12 +96,12 @@ def test_any_key_ends_the_run_with_idle_motors(tmp_path):
     assert (tmp_path / "vehicle.toml").exists()
 
 
-def test_rest_sees_each_pose_of_a_logger_that_repeats_them_once():
+def test_repeated_poses_of_a_logger_are_counted_once():
     found = commission(Repeating(rate=120.0), VEHICLE, steps=[Rest()])
     assert found.steps[0].words.startswith("poses at 120 Hz")
 
 
-def test_rest_sees_rate_noise_and_slope():
+def test_the_rest_step_measures_rate_noise_and_slope():
     link = Still(rate=100.0, noise=2e-4, push=0.1)
     found = commission(link, VEHICLE, steps=[Rest(duration_s=1.0)])
     assert found.outcome == "not_trusted"
@@ -111,7 +111,7 @@ def test_rest_sees_rate_noise_and_slope():
 
 
 @pytest.mark.slow
-def test_flight_time_counts_every_second_with_motors_on():
+def test_flight_time_counts_every_second_with_running_motors():
     link = Still(rate=240.0)
     found = commission(link, VEHICLE, steps=[])
     assert found.flight_s == 0
@@ -135,7 +135,7 @@ class SlowWork:
     def result(self): ...
 
 
-def test_poses_that_come_while_programs_compile_are_heard():
+def test_poses_that_arrive_during_compilation_are_used():
     found = commission(Still(rate=120.0), VEHICLE, steps=[WarmUp(), Rest()], work=SlowWork())
     assert [one.step for one in found.steps] == ["rest"]
     assert not found.findings
@@ -160,7 +160,7 @@ class Repeating(Still):
 @pytest.mark.parametrize(
     "link", [Still(rate=60.0, stamps=3e-4), Still(rate=240.0, stamps=3e-4), Repeating(rate=120.0)]
 )
-def test_the_rate_is_known_before_a_craft_on_a_slope_has_drifted_far(link):
+def test_the_rate_is_known_before_a_craft_on_a_slope_drifts_far(link):
     """Half g times 20 mrad times 0.15 s squared: 2 mm."""
     work, rate = Noting(), link.rate
     commission(link, VEHICLE, steps=[WarmUp()], work=work)
@@ -183,7 +183,7 @@ class Twice:
             session.fly("push", Pushing(), 0.5, guarded=guarded)
 
 
-def test_a_flight_after_another_flies_at_once():
+def test_a_second_flight_starts_without_delay():
     found = commission(Still(), VEHICLE, steps=[Twice()])
     _, second = (flight.recording["command"].values for flight in found.flights)
     assert (second[:-1] == 0.5).all()
@@ -204,7 +204,7 @@ class Brief:
         self.estimate = hovering(session).step(session.link.now).estimate
 
 
-def test_a_new_controller_knows_the_speed_at_once():
+def test_a_new_controller_knows_the_speed_immediately():
     step = Brief()
     commission(Still(rate=120.0, push=0.4), VEHICLE, steps=[step])
     assert step.estimate.state[3] == pytest.approx(0.2, rel=0.1)  # 0.4 m/s² for 0.5 s
@@ -228,6 +228,6 @@ def test_the_first_pulse_pushes_a_drifting_craft_uphill(push, yaw):
         (("actuator",), "actuator"),
     ],
 )
-def test_a_weak_motor_is_no_cause_if_there_is_another(kinds, named):
+def test_a_weak_motor_is_named_only_if_there_is_no_other_cause(kinds, named):
     found = SimpleNamespace(findings=[Finding(kind, kind) for kind in kinds])
     assert first_cause(found).kind == named

@@ -19,7 +19,7 @@ from airpuck.compute.arrays import (
 )
 
 
-def test_small_products_are_matrix_products():
+def test_small_products_equal_matrix_products():
     random = np.random.default_rng(0)
     matrix, stack = random.normal(size=(3, 4)), random.normal(size=(2, 4, 4))
     np.testing.assert_allclose(small_product(np, matrix, stack), matrix @ stack)
@@ -27,7 +27,7 @@ def test_small_products_are_matrix_products():
     np.testing.assert_allclose(small_product(np, matrix, stack[0, 0]), matrix @ stack[0, 0])
 
 
-def test_scan_is_jax_scan():
+def test_scan_matches_jax_scan():
     body = lambda carry, x: (carry + x[0] * x[1], carry * 2)  # noqa: E731
     xs = (np.arange(5.0), np.arange(5.0)[::-1])
     with jax.enable_x64(True):
@@ -39,7 +39,7 @@ def test_scan_is_jax_scan():
 
 
 @pytest.mark.parametrize("batch", [(), (4,), (4, 2)])
-def test_one_matrix_or_one_for_each(batch):
+def test_a_linear_map_accepts_one_matrix_or_one_per_vector(batch):
     rng = np.random.default_rng(0)
     matrix, vector = rng.normal(size=(3, 5)), rng.normal(size=(5, *batch))
     expected = np.einsum("ij,j...->i...", matrix, vector)
@@ -49,13 +49,13 @@ def test_one_matrix_or_one_for_each(batch):
 
 
 @pytest.mark.parametrize("xp", [np, jnp])
-def test_branches_and_loops(xp):
+def test_branches_and_loops_match_python(xp):
     assert if_any(xp, xp.array([False, True]), lambda x: x + 1, 1.0) == 2
     assert if_any(xp, xp.array([False, False]), lambda x: x + 1, 1.0) == 1
     assert repeat_while(xp, lambda x: x < 100, lambda x: 2 * x, 1.0) == 128
 
 
-def test_a_dataclass_is_registered_once_by_threads_side_by_side(monkeypatch):
+def test_concurrent_threads_register_a_dataclass_once(monkeypatch):
     @dataclass
     class Pair:
         one: float

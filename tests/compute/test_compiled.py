@@ -34,7 +34,7 @@ def moved(dynamics, duration):
     return program(pair, np.zeros(12), np.zeros(6), compiled=True)
 
 
-def test_the_program_is_the_function_in_double_precision():
+def test_the_program_equals_the_function_in_double_precision():
     rng = np.random.default_rng(0)
     state, command = rng.uniform(0.1, 1, 12), rng.uniform(0.1, 1, 6)
     before = jax.config.read("jax_enable_x64")
@@ -60,7 +60,7 @@ class Scale:
     apply.__wrapped__ = lambda self, xp, values: (values,)  # pyright: ignore
 
 
-def test_a_method_is_one_of_its_object():
+def test_methods_of_different_objects_are_different_programs():
     for factor in (2.0, 3.0):
         assert program(Scale(factor).apply, np.ones(1), compiled=True)(np.ones(1))[0] == factor
 
@@ -96,20 +96,20 @@ def through(transform):
     return compiled_for(lambda xp, values: (jnp.atleast_1d(inner(values)),), 2)
 
 
-def test_a_transformed_function_is_another_one():
+def test_a_transformed_function_is_a_different_program():
     sums, gradient = through(jax.jit), through(jax.grad)
     np.testing.assert_allclose(sums(np.ones(2))[0], [2.0])
     np.testing.assert_allclose(gradient(np.ones(2))[0], [3.0, 3.0])
 
 
-def test_defaults_are_part_of_a_function():
+def test_defaults_distinguish_functions():
     def times(factor):
         return compiled_for(lambda xp, values, *, factor=factor: (factor * values,), 1)
 
     assert times(1.0) is not times(2.0)
 
 
-def test_what_cannot_be_compared_is_compiled_each_time():
+def test_functions_that_cannot_be_compared_are_always_compiled():
     def add(values, other):
         return (values + other,)
 
@@ -122,7 +122,7 @@ def test_what_cannot_be_compared_is_compiled_each_time():
     np.testing.assert_array_equal(second(np.ones(1))[0], [2.0])
 
 
-def test_a_function_is_given_its_namespace():
+def test_a_function_receives_its_array_namespace():
     def turned(xp, angle, vector):
         return xp.stack([xp.cos(angle), xp.sin(angle)]) * vector, xp.isfinite(vector).all()
 
@@ -148,7 +148,7 @@ def test_a_function_is_given_its_namespace():
     ],
     ids=["plain", "transposed", "sliced", "integers", "single", "big-endian", "truths", "lists"],
 )
-def test_arguments_of_any_kind_and_layout_are_taken(given):
+def test_arguments_of_any_kind_and_layout_are_accepted(given):
     def weighted(xp, matrix, scale):
         return (scale * matrix @ np.array([1.0, 10.0, 100.0]),)
 
@@ -158,7 +158,7 @@ def test_arguments_of_any_kind_and_layout_are_taken(given):
         np.testing.assert_allclose(run(given, scale)[0], expected, rtol=1e-15)
 
 
-def test_batches_are_in_double_precision_and_nothing_else_is():
+def test_only_batches_are_forced_to_double_precision():
     before = jax.config.read("jax_enable_x64")
     assert for_batches(lambda x: x / 3)(np.ones(2)).dtype == np.float64
     with double_precision():
@@ -166,7 +166,7 @@ def test_batches_are_in_double_precision_and_nothing_else_is():
     assert jax.config.read("jax_enable_x64") == before
 
 
-def test_a_pass_from_sample_to_sample_is_compiled_once_for_all_lengths():
+def test_a_scan_is_compiled_once_for_all_lengths():
     traced = []
 
     def step(known, carry, sample):
@@ -191,7 +191,7 @@ def test_a_pass_from_sample_to_sample_is_compiled_once_for_all_lengths():
 
 
 @pytest.mark.parametrize(("count", "length"), [(1, 4), (4, 4), (5, 8), (8, 8), (9, 16)])
-def test_rows_are_repeated_up_to_a_power_of_two(count, length):
+def test_rows_are_padded_to_a_power_of_two(count, length):
     values = np.arange(2 * count).reshape(count, 2)
     longer = lengthened(values, 4)
     assert len(longer) == length
@@ -201,7 +201,7 @@ def test_rows_are_repeated_up_to_a_power_of_two(count, length):
 
 @pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/maps").exists(), reason="mappings are counted on Linux")
-def test_a_process_that_compiles_for_many_recordings_keeps_its_memory_bounded():
+def test_compiling_for_many_recordings_keeps_memory_bounded():
     def mappings():
         return len(Path("/proc/self/maps").read_text().splitlines())
 

@@ -59,7 +59,7 @@ def cache(tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-def test_commands_keep_what_they_compile(cache, tmp_path):
+def test_commands_cache_their_compiled_programs(cache, tmp_path):
     process = airpuck_process("excite", "--duration", "0.5", "-o", tmp_path / "bag")
     assert process.returncode == 0, process.stderr
     assert process.stderr == ""
@@ -74,12 +74,12 @@ def settings(monkeypatch):
     return {name: value for name, value in os.environ.items() if name.startswith("JAX_")}
 
 
-def test_a_users_setting_of_the_cache_takes_precedence(cache, monkeypatch):
+def test_the_users_cache_setting_takes_precedence(cache, monkeypatch):
     monkeypatch.setenv(FOLDER, "mine")
     assert settings(monkeypatch) == {FOLDER: "mine"}
     assert not cache.exists()
 
 
-def test_without_a_folder_nothing_is_kept(cache, monkeypatch):
+def test_without_a_cache_folder_nothing_is_stored(cache, monkeypatch):
     cache.write_text("a file")
     assert not settings(monkeypatch)

@@ -15,7 +15,7 @@ ANGLES = np.linspace(-7, 7, 57)
 
 
 @pytest.mark.parametrize("shape", [(), (57,), (19, 3)])
-def test_is_cosine_and_sine_of_any_shape(shape):
+def test_cos_sin_matches_numpy_for_any_shape(shape):
     angle = np.resize(ANGLES, shape)
     for xp in (np, jnp):
         with jax.enable_x64(True):
@@ -24,7 +24,7 @@ def test_is_cosine_and_sine_of_any_shape(shape):
         np.testing.assert_allclose(sin, np.sin(angle), rtol=0, atol=1e-15)
 
 
-def test_derivatives_of_both_modes():
+def test_forward_and_reverse_derivatives_are_correct():
     with jax.enable_x64(True):
         angle = jnp.asarray(ANGLES)
         for jacobian in (jax.jacfwd, jax.jacrev):
@@ -34,7 +34,7 @@ def test_derivatives_of_both_modes():
 
 
 @pytest.mark.parametrize("double", [True, False])
-def test_keeps_single_precision(double):
+def test_single_precision_is_kept(double):
     angle = ANGLES.astype("f4")
     with jax.enable_x64(double):
         found = jnp.stack(cos_sin(jnp, jnp.asarray(angle)))
@@ -43,31 +43,31 @@ def test_keeps_single_precision(double):
     np.testing.assert_allclose(found, expected, rtol=0, atol=1.5e-7)
 
 
-def test_derivatives_of_derivatives():
+def test_second_derivatives_are_correct():
     with jax.enable_x64(True):
         second = jax.hessian(lambda angle: cos_sin(jnp, angle)[1].sum())(jnp.asarray(ANGLES))
     np.testing.assert_allclose(second, -np.diag(np.sin(ANGLES)), atol=1e-14)
 
 
-def test_whole_numbers_are_angles_too():
+def test_integer_angles_are_accepted():
     for found in zip(cos_sin(jnp, jnp.arange(4)), cos_sin(np, np.arange(4)), strict=True):
         np.testing.assert_allclose(*found, atol=1e-6)
 
 
-def test_coarse_products_of_matrices_do_not_reach_them():
+def test_low_matmul_precision_does_not_affect_accuracy():
     with jax.enable_x64(True), jax.default_matmul_precision("BF16_BF16_F32"):
         found = cos_sin(jnp, jnp.asarray(ANGLES))
     np.testing.assert_allclose(found, [np.cos(ANGLES), np.sin(ANGLES)], atol=1e-15)
 
 
 @pytest.mark.parametrize("huge", [1e12, 1e18, 1e100, 1e300])
-def test_huge_angles_have_some_sine(huge):
+def test_huge_angles_give_values_within_one(huge):
     with jax.enable_x64(True):
         found = np.array(cos_sin(jnp, jnp.array([huge, -huge])))
     assert (np.abs(found) <= 1 + 1e-15).all()
 
 
-def test_other_devices_need_no_product():
+def test_gpu_programs_use_no_matrix_product():
     def turned(angle):
         return cos_sin(jnp, angle)
 
@@ -91,19 +91,19 @@ def test_polynomials_are_exact_to_rounding(angles):
     np.testing.assert_allclose(sin, np.sin(angle), rtol=1e-11, atol=1e-300)
 
 
-def test_polynomials_at_quarter_turns():
+def test_polynomials_are_accurate_at_quarter_turns():
     turns = np.arange(-8, 9)
     cos, sin = polynomials(np, turns * (np.pi / 2))
     np.testing.assert_allclose(cos + 1j * sin, 1j ** turns.astype(float), atol=1e-14)
 
 
-def test_non_finite_angles_have_no_finite_cosine():
+def test_non_finite_angles_give_non_finite_results():
     with jax.enable_x64(True):
         assert not jnp.isfinite(jnp.stack(cos_sin(jnp, jnp.array([np.nan, np.inf])))).any()
 
 
 @pytest.mark.parametrize("double", [True, False])
-def test_a_compiled_program_computes_them_once(double):
+def test_a_compiled_program_computes_sines_once(double):
     def turned(angle, first, second):
         cos, sin = cos_sin(jnp, angle)
         return cos * first - sin * second, (sin * first).sum() + (cos * second).max()

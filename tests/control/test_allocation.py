@@ -112,7 +112,7 @@ def test_both_solvers_agree():
         assert one.angular_scale == pytest.approx(other.angular_scale, abs=1e-6)
 
 
-def test_feasible_requests_get_the_solution_of_the_paper_whose_thrusts_meet_them(solver):
+def test_feasible_requests_get_the_papers_solution_which_meets_them(solver):
     ours = allocator(solver)
     outcomes = set()
     for problem, infeasibility in sample():
@@ -232,7 +232,7 @@ def test_thrusts_are_finite_and_within_bounds_for_any_craft(craft, solver):
 
 
 @pytest.mark.parametrize("n", [3, 4, 6, 8])
-def test_any_number_of_propellers_is_allocated_as_the_paper_would(solver, n):
+def test_allocation_matches_the_paper_for_any_number_of_propellers(solver, n):
     ours, random = allocator(solver, n), np.random.default_rng(n)
     feasible = 0
     for _ in range(60):

@@ -31,7 +31,7 @@ def craft(*propellers, lowest=0.0) -> Vehicle:
 CORNERS = ((0.05, 0.05, 315), (0.05, -0.05, 45), (-0.05, 0.05, 225), (-0.05, -0.05, 135))
 
 
-def test_a_square_craft_by_hand():
+def test_a_square_craft_matches_a_hand_calculation():
     # The lowest command, 0.1, gives 0.01 N. Forward the two in front push at 45°, the two behind
     # push back as little as they can; turning, two push at an arm of 0.05 √2 m, two against them.
     found = control_authority(nominal_model(craft(*CORNERS, lowest=0.1)))
@@ -44,14 +44,14 @@ def test_a_square_craft_by_hand():
     assert not found.sentences
 
 
-def test_a_push_to_the_right_is_not_counted_as_a_push_to_the_left():
+def test_a_push_to_the_right_does_not_count_as_one_to_the_left():
     found = control_authority(nominal_model(craft((0, 0.05, 270), (0, -0.05, 270))))
     assert found.alone["right"] == pytest.approx(2 / 0.2)
     assert found.together["left"] == 0
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_the_weakest_effort_is_the_smallest_of_many_directions(seed):
+def test_the_weakest_direction_is_the_minimum_over_many_directions(seed):
     rng = np.random.default_rng(seed)
     # Most pushes point one way, so that opposite directions differ.
     angles = rng.normal(60 * seed, 90, 6)
@@ -65,7 +65,7 @@ def test_the_weakest_effort_is_the_smallest_of_many_directions(seed):
     assert -1e-9 <= least - weakest_effort(model) < 0.03 * strongest
 
 
-def test_propellers_that_all_turn_one_way_are_named():
+def test_propellers_that_all_turn_one_way_are_reported():
     found = control_authority(
         nominal_model(craft((0.05, 0, 90), (0, 0.05, 180), (-0.05, 0, 270), (0, -0.05, 0)))
     )
@@ -106,7 +106,7 @@ def test_missing_motions_are_those_outside_the_positive_span(seed):
     assert control_authority(model).missing == tuple(missing)
 
 
-def test_the_papers_craft_is_as_strong_to_both_sides():
+def test_the_papers_craft_is_equally_strong_to_both_sides():
     found = control_authority(nominal_model(default_vehicle()))
     assert not found.missing
     for one, other in (("left", "right"), ("turn left", "turn right")):

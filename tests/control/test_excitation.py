@@ -55,7 +55,7 @@ def signal_of(commands):
     return np.where(first > second, first, -second)
 
 
-def test_at_rest_one_motor_of_each_pair_blows_and_the_other_idles():
+def test_at_rest_one_motor_of_each_pair_runs_and_the_other_idles():
     commands = at_rest(pilot(), 600)
     first, second = commands[:, 0::2], commands[:, 1::2]
     np.testing.assert_allclose(np.minimum(first, second), IDLE, atol=1e-12)
@@ -75,7 +75,7 @@ def test_the_first_motor_gets_the_signal_and_the_second_its_opposite(amplitude):
 
 
 @pytest.mark.parametrize("hold", [0.01, 0.05, 0.33])
-def test_signals_are_held_as_long_as_asked(hold):
+def test_signals_are_held_for_the_requested_time(hold):
     commands = at_rest(pilot(hold=hold, seed=2), 500)
     times = PERIOD * np.arange(500)
     turn = np.floor((times + 1e-6) / hold)
@@ -107,13 +107,13 @@ def test_signals_are_uniform_and_independent(amplitude):
     assert np.abs((signals[1:] * signals[:-1]).mean(axis=0)).max() < 4 * amplitude**2 / 3 / 54
 
 
-def test_the_seed_decides():
+def test_a_seed_determines_the_signals():
     one, same, other = (at_rest(pilot(seed=seed), 60) for seed in (1, 1, 2))
     np.testing.assert_array_equal(one, same)
     assert np.abs(one - other).max() > 0.1
 
 
-def test_the_signal_comes_on_top_of_what_the_controller_wants_of_the_pair():
+def test_the_signal_is_added_to_the_thrust_that_the_controller_requests():
     # Held 10 cm to the left: w is the difference of what the controller alone gives the two.
     pose = (0.0, 0.1, 0.3)
     excitation = pilot(amplitude=0.3, seed=4)
@@ -129,7 +129,7 @@ def test_the_signal_comes_on_top_of_what_the_controller_wants_of_the_pair():
 
 
 @pytest.mark.parametrize("count", [4, 6])
-def test_propellers_without_partner_have_signals_of_their_own(count):
+def test_unpaired_propellers_have_their_own_signals(count):
     model = craft(count)
     commands = at_rest(pilot(model, amplitude=0.5, seed=6), 400)
     alone = pilot(model, seed=6).controller
@@ -141,7 +141,7 @@ def test_propellers_without_partner_have_signals_of_their_own(count):
     assert (np.ptp(commands, axis=0) > 0.2).all()
 
 
-def test_pairs_and_single_propellers_go_together():
+def test_pairs_and_single_propellers_can_be_combined():
     commands = at_rest(pilot(craft(6, [("m0", "m3")]), seed=8), 1200)
     np.testing.assert_allclose(np.minimum(commands[:, 0], commands[:, 3]), IDLE, atol=AT_REST)
     both = (commands[:, 1] > 0.1) & (commands[:, 4] > 0.1)
@@ -163,12 +163,12 @@ def test_pairs_and_single_propellers_go_together():
         *(({"hold": wrong}, "hold", r"0\.01 s") for wrong in (0.0, -1.0, 0.009, np.nan)),
     ],
 )
-def test_what_makes_no_experiment_is_refused(settings, field, says):
+def test_invalid_excitation_settings_are_rejected(settings, field, says):
     with rejected(match=says, field=field):
         pilot(**settings)
 
 
-def test_a_craft_that_turns_one_way_only_is_refused():
+def test_a_craft_that_turns_one_way_only_is_rejected():
     content = craft(4).vehicle.model_dump()
     for propeller in content["propellers"]:
         push = np.deg2rad(propeller["direction_deg"])
@@ -182,7 +182,7 @@ def test_three_propellers_that_only_push_are_too_few():
         pilot(craft(3))
 
 
-def test_the_weakest_effort_agrees_with_a_random_search():
+def test_the_weakest_direction_agrees_with_a_random_search():
     for model in (MODEL, craft(4), craft(5), craft(6)):
         found = weakest_effort(model)
         gyration = np.sqrt(model.parameters.inertia / model.vehicle.mass_kg)
@@ -235,7 +235,7 @@ def test_signals_pause_where_the_craft_could_not_stop(position, velocity):
     ("position", "velocity"),
     [((0.4, 0.0), (0.0, 0.0)), ((0.0, 0.35), (0.0, 0.0)), ((0.7, 0.0), (-1.5, 0.0))],
 )
-def test_signals_go_on_where_the_craft_can_stop(position, velocity):
+def test_signals_continue_where_the_craft_can_stop(position, velocity):
     excitation = pilot(seed=1)
     step = moving(excitation, position, velocity)
     assert excitation.pauses == 0
@@ -277,7 +277,7 @@ def test_the_braking_distance_agrees_with_a_hand_calculation():
 
 
 @pytest.mark.parametrize("late", [0.0, 0.1])
-def test_near_a_rail_a_craft_that_answers_late_pushes_back_and_lets_its_yaw_be(late):
+def test_near_a_rail_a_slow_craft_pushes_back_and_ignores_its_yaw(late):
     excitation = pilot(seed=1, reaction=late)
     # Turned by 1 rad, which the regulator corrects unless the craft answers late.
     for now in (0.0, PERIOD):
@@ -309,7 +309,7 @@ def test_a_craft_on_a_slope_brakes_earlier_downhill(pull):
     pauses_just_beyond(stop, (speed, 0.0), hair=0.015, reaction=late, pull=(pull, 0.0))
 
 
-def test_a_craft_that_moves_across_the_table_shares_its_brakes():
+def test_a_craft_moving_diagonally_shares_its_braking_force():
     # 0.3 and 0.4 m/s are 0.5 m/s in all, of which the brakes take three fifths along x.
     braking, late = 0.5 * weakest_push(), 0.05
     stop = 0.3 * late + 0.3 * 0.5 / (2 * braking)
@@ -317,7 +317,7 @@ def test_a_craft_that_moves_across_the_table_shares_its_brakes():
 
 
 @pytest.mark.parametrize("forward", [True, False])
-def test_a_craft_that_answers_late_brakes_earlier_if_its_motors_push_outwards(forward):
+def test_a_slow_craft_brakes_earlier_if_its_motors_push_outwards(forward):
     # For 0.1 s its motors go on pushing forward; then it brakes. Idle motors push nowhere.
     full = sum(VEHICLE.nominal.thrust_N) / VEHICLE.mass_kg
     directions = np.deg2rad([p.direction_deg for p in VEHICLE.propellers])
@@ -340,7 +340,7 @@ def test_motors_idle_during_a_long_pause_of_poses_and_then_resume():
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-def test_a_time_that_is_not_a_number_idles_the_motors_once(bad):
+def test_a_nan_time_idles_the_motors_once(bad):
     whole, excitation = at_rest(pilot(seed=3), 60), pilot(seed=3)
     assert excitation.step(bad).status == "bad input"
     found = at_rest(excitation, 30)
@@ -350,7 +350,7 @@ def test_a_time_that_is_not_a_number_idles_the_motors_once(bad):
 
 
 @pytest.mark.timeout(60)
-def test_a_jump_of_the_clock_costs_no_time_and_signals_go_on():
+def test_a_clock_jump_costs_no_time_and_the_signals_continue():
     # A year has 10⁸ changes: drawn one by one they would take minutes.
     excitation = pilot(seed=3)
     at_rest(excitation, 5)
@@ -369,7 +369,7 @@ def test_it_steers_to_the_middle_by_default():
     np.testing.assert_array_equal(elsewhere.at(0.0, 0.0).state, [0.5, 0.1, 1.0, 0, 0, 0])
 
 
-def test_commands_stay_within_the_limits_whatever_the_craft_does():
+def test_commands_stay_within_limits_for_any_motion():
     rng, excitation = np.random.default_rng(0), pilot(seed=9)
     for k in range(500):
         pose = rng.normal(size=3) if k % 7 == 0 else np.array([0.9 * np.sin(k / 9), 0.2, k / 50])
@@ -379,13 +379,13 @@ def test_commands_stay_within_the_limits_whatever_the_craft_does():
 
 
 @pytest.mark.parametrize("amplitude", [0.7, (0.1 + 0.2, 0.0, 1.0)])
-def test_a_plan_reads_back_as_it_was(tmp_path, amplitude):
+def test_a_plan_round_trips(tmp_path, amplitude):
     plan = ExcitationPlan(amplitude=amplitude, hold_s=1 / 3, duration_s=60.0, margin_m=0.1)
     plan.save(tmp_path / "plan.toml")
     assert read_excitation_plan(tmp_path / "plan.toml") == plan
 
 
-def test_missing_keys_have_the_values_of_the_paper(tmp_path):
+def test_missing_keys_default_to_the_values_of_the_paper(tmp_path):
     (tmp_path / "plan.toml").write_text("hold_s = 0.1\n")
     plan = read_excitation_plan(tmp_path / "plan.toml")
     assert plan == ExcitationPlan(amplitude=1.0, hold_s=0.1, duration_s=90.0, margin_m=0.05)
@@ -395,7 +395,7 @@ def test_missing_keys_have_the_values_of_the_paper(tmp_path):
     ("text", "field"),
     [("amplitude = 1.5", "amplitude"), ("hold_s = 0", "hold_s"), ("pause_s = 1", "pause_s")],
 )
-def test_a_wrong_plan_is_refused_by_field(tmp_path, text, field):
+def test_an_invalid_plan_is_rejected_by_field(tmp_path, text, field):
     (tmp_path / "plan.toml").write_text(text)
     with pytest.raises(InputError) as caught:
         read_excitation_plan(tmp_path / "plan.toml")
@@ -403,7 +403,7 @@ def test_a_wrong_plan_is_refused_by_field(tmp_path, text, field):
     assert "plan.toml" in str(caught.value)
 
 
-def test_a_craft_that_cannot_push_straight_while_its_motors_idle_is_excited():
+def test_a_craft_whose_idle_thrusts_push_sideways_is_excited():
     content = default_vehicle().model_dump(mode="json")
     one, curve = content["propellers"][0], content["nominal"]["thrust_N"][0]
     content |= {"pairs": [], "command_min": 0.3}

@@ -38,13 +38,13 @@ PUSH = np.array([0.3, -0.2, 1.5])
 DRAGGED = replace(MODEL.dynamics, effects=(Drag(0.4),))
 
 
-def test_without_a_disturbance_the_states_are_those_of_the_rollout():
+def test_without_a_disturbance_the_states_match_the_rollout():
     states, *_ = linearised(np, DRAGGED, 0.02, START, COMMANDS, np.zeros(3))
     expected = rollout(np, DRAGGED, START, COMMANDS, np.full(len(COMMANDS), 0.02))
     np.testing.assert_allclose(states, expected, rtol=1e-13)
 
 
-def test_a_disturbance_moves_a_craft_at_rest_by_half_its_square_of_time():
+def test_a_constant_disturbance_moves_a_resting_craft_by_half_a_t_squared():
     idle = np.concatenate([np.zeros(6), np.zeros(6)])
     states, felt, *_ = linearised(np, MODEL.dynamics, 0.02, idle, np.zeros((8, 6)), PUSH)
     time = 0.02 * np.arange(1, 9)[:, None]
@@ -133,14 +133,14 @@ def test_near_half_a_turn_the_direction_of_rotation_is_kept():
     assert posed(PLAN, wanted, way=-3.1).way == pytest.approx(np.pi / 2)
 
 
-def test_braking_is_half_of_what_the_propellers_give_in_the_weakest_direction():
+def test_braking_is_half_of_the_weakest_full_push():
     strongest = control_authority(MODEL).together
     weakest = min(strongest[way] for way in ("forward", "back", "left", "right"))
     assert 0.4 * weakest < BRAKE < 0.505 * weakest
 
 
 @pytest.mark.parametrize("motor", range(6))
-def test_a_motor_that_is_nearly_dead_does_notbraking(motor):
+def test_a_nearly_dead_motor_does_not_contribute_to_braking(motor):
     shares = np.where(np.arange(6) == motor, 0.05, 1.0)
     # The same craft, made of weak propellers.
     weak = scaled(MODEL, shares)
@@ -160,7 +160,7 @@ def test_a_craft_without_thrust_has_finite_limits():
     assert np.isfinite(posed(PLAN, np.zeros(6), shares=np.zeros(6)).limited).all()
 
 
-def test_limits_are_met_by_changes_that_reach_them():
+def test_limits_are_expressed_in_command_changes():
     s = posed(PLAN, np.zeros(6), speed_m_s=0.5, spin_rad_s=2.0, keep_out_m=((0.5, 0.1, 0.2),))
     change = RANDOM.normal(size=(6, 6))
     reached = s.states[:, :6] + change
@@ -251,7 +251,7 @@ def test_linear_thrust_curves_add_no_curvature():
 
 @examples(50)
 @given(st.floats(0, 0.11), st.lists(st.integers(1, 4), min_size=2, max_size=6))
-def test_a_shifted_plan_has_the_means_of_the_old_plan(elapsed, lengths):
+def test_a_shifted_plan_keeps_the_means_of_the_old_one(elapsed, lengths):
     blocks = Blocks(0.02, tuple(lengths))
     plan = np.random.default_rng(len(lengths)).uniform(size=(len(lengths), 2))
     shifted = blocks.shifted(plan, elapsed)
@@ -263,7 +263,7 @@ def test_a_shifted_plan_has_the_means_of_the_old_plan(elapsed, lengths):
         np.testing.assert_allclose(shifted[b], plan[old].mean(axis=0), atol=2e-3)
 
 
-def test_a_horizon_is_cut_into_blocks():
+def test_a_horizon_is_divided_into_blocks():
     settings = SETTINGS
     blocks = Blocks.of(settings.model_copy(update={"horizon_s": 0.22, "block": (4,)}))
     assert blocks.lengths == (4, 4, 3)
@@ -407,7 +407,7 @@ def test_the_solution_agrees_with_highs(seed, tight):
     assert cost == pytest.approx(best, rel=1e-5, abs=1e-5)
 
 
-def test_a_limit_that_can_be_kept_is_kept_to_the_last_digit():
+def test_a_feasible_limit_is_met_exactly():
     blocks = Blocks(0.02, (2, 3, 3))
     for seed in range(6):
         s, condensed = problem(seed, blocks, tight=4.0), solver_of(blocks, (0.0, 1.0))
@@ -428,7 +428,7 @@ def test_non_finite_numbers_give_no_solution():
     assert solver.solve(solver.form(np, s)) is None
 
 
-def test_a_solution_beyond_the_iteration_limit_is_not_used():
+def test_an_unconverged_solution_is_not_used():
     blocks = Blocks(0.02, (1,) * 8)
     s, short = problem(4, blocks, tight=0.02), regulator().model_copy(update={"iterations": 1})
     solver = Condensed(craft(0.0, 1.0), blocks, short, (False, False))

@@ -37,7 +37,7 @@ IDLE = np.zeros(8)
 REFERENCE = SetPoint(0.5, 0.0, 0.0)
 
 
-def test_a_craft_flies_on_while_its_motors_can_push_and_turn_everywhere():
+def test_a_craft_keeps_flying_while_its_motors_can_push_and_turn_everywhere():
     for dead in (each for count in range(4) for each in combinations(range(8), count)):
         running = ~np.isin(np.arange(8), dead)
         steers = weakest_effort(TWICE, running) >= LEAST_EFFORT
@@ -59,7 +59,7 @@ UNKNOWN = replace(step(), estimate=replace(step().estimate, actuation=None))
 @pytest.mark.parametrize(
     "sent", [step(), step(0), step(0, 4, deviation=0.2), step(*range(8)), UNKNOWN, Step(IDLE)]
 )
-def test_a_law_is_obeyed_if_it_can_steer_or_no_motor_runs_at_all(sent):
+def test_a_law_is_obeyed_if_it_can_steer_or_all_motors_idle(sent):
     landing = Landing(TWICE)
     assert landing.land(1.0, sent) is sent
     assert landing.reference(REFERENCE) is REFERENCE
@@ -84,7 +84,7 @@ def test_braking_ends_after_three_seconds():
     assert flying[-1] == pytest.approx(3.0)
 
 
-def test_the_craft_has_stopped_once_its_motors_have():
+def test_landing_ends_when_the_remaining_motor_thrust_stops_the_craft():
     # Motors 1 and 5 push with 0.3 N each, along 45° + 0.3 rad, and fade with the lag.
     curves = np.tile([0.0, 1.0], (8, 1))
     lagging = replace(
@@ -102,7 +102,7 @@ def test_the_craft_has_stopped_once_its_motors_have():
         assert landing.land(1.1, replace(moving, estimate=estimate)).flies != lands
 
 
-def test_a_landing_ends_when_the_clock_is_set_back_or_the_estimate_is_lost():
+def test_a_landing_ends_if_the_clock_is_set_back_or_the_estimate_is_lost():
     landing = Landing(TWICE)
     landing.land(100.0, step(0, 4, speed=0.0))
     assert landing.land(1.0, step()).flies
@@ -112,7 +112,7 @@ def test_a_landing_ends_when_the_clock_is_set_back_or_the_estimate_is_lost():
     assert landing.reference(REFERENCE).at(2.1, 0.0).state.shape == (6,)
 
 
-def test_a_long_flight_forgives_the_landings_before():
+def test_a_long_flight_resets_the_count_of_landings():
     landing, down, later = Landing(TWICE), step(0, 4, speed=0.0), 0.0
     for _ in range(5):
         landing.land(later, down)
@@ -120,7 +120,7 @@ def test_a_long_flight_forgives_the_landings_before():
         later += 40.0
 
 
-def test_motors_are_tried_again_twice():
+def test_motors_are_retried_twice():
     landing, tried = Landing(TWICE), []
     for now in np.arange(0, 30, 0.01):
         landing.land(now, step(0, 4, speed=0.0))
@@ -130,7 +130,7 @@ def test_motors_are_tried_again_twice():
     assert tried == pytest.approx([2.0, 4.01])
 
 
-def test_a_craft_that_is_held_flies_once_it_is_released():
+def test_a_craft_held_by_hand_flies_once_released():
     model = replace(published_model("M3"), frame="body", indexing="start")
     tuning = default_tuning().with_law("lqr").with_estimator("learning")
     controller = TrackingController(model, SetPoint(0.3, 0.2, 0.0), tuning)
@@ -142,7 +142,7 @@ def test_a_craft_that_is_held_flies_once_it_is_released():
         assert sent.status != "cannot steer"
 
 
-def test_a_regulated_craft_with_a_dead_motor_comes_to_rest_instead_of_rails():
+def test_a_craft_with_a_dead_motor_comes_to_rest_before_a_rail():
     model = replace(published_model("M3"), frame="body", indexing="start")
     dead = Weakness(motor=model.vehicle.columns[0], start_s=0.5, stop_s=60.0, share=0.0)
     settings = TwinSettings(motors=Motors(weak=(dead,)))

@@ -27,7 +27,7 @@ def test_the_example_is_short():
 
 
 @pytest.mark.slow
-def test_a_law_of_ones_own_reaches_its_set_point_and_keeps_its_state():
+def test_a_user_law_reaches_its_set_point_and_keeps_its_state():
     controller = airpuck.TrackingController(
         M3, airpuck.SetPoint(0.4, -0.1, 0.5), default_tuning().with_law(PID)
     )
@@ -57,7 +57,7 @@ class Creep(airpuck.Law):
         return airpuck.Step(self.command), state
 
 
-def test_a_law_is_given_by_name_by_class_or_as_an_object():
+def test_a_law_is_given_by_name_class_or_object():
     goal, own = airpuck.SetPoint(0.1, 0.0, 0.0), Creep(M3, default_tuning(), level=0.3)
     for law, kind, level in (("mpc", MPC, None), (Creep, Creep, 0.2), (own, Creep, 0.3)):
         controller = airpuck.TrackingController(M3, goal, law=law, compiled=False)
@@ -69,7 +69,7 @@ def test_a_law_is_given_by_name_by_class_or_as_an_object():
     assert "a law of its own" in recording.source
 
 
-def test_settings_of_a_law_of_ones_own_stand_under_its_name(tmp_path, monkeypatch):
+def test_settings_of_a_user_law_are_given_under_its_name(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("mine.py").write_text(
         textwrap.dedent("""
@@ -102,13 +102,13 @@ def test_settings_of_a_law_of_ones_own_stand_under_its_name(tmp_path, monkeypatc
         airpuck.read_tuning("tuning.toml")
 
 
-def test_a_name_of_what_makes_no_law_is_refused(monkeypatch):
+def test_a_name_that_makes_no_law_is_rejected(monkeypatch):
     monkeypatch.setitem(LAWS, "mine", lambda *given: object())
     with pytest.raises(InputError, match=r"law: must inherit from airpuck\.Law"):
         airpuck.TrackingController(M3, airpuck.SetPoint(0.1, 0.0, 0.0), law="mine")
 
 
-def test_a_step_changes_nothing_but_the_state_it_returns():
+def test_a_step_changes_only_the_state_that_it_returns():
     controller = airpuck.TrackingController(
         M3, airpuck.SetPoint(0.3, 0.0, 0.0), default_tuning().with_law("mpc"), compiled=False
     )
@@ -123,7 +123,7 @@ def test_a_step_changes_nothing_but_the_state_it_returns():
 
 
 @pytest.mark.slow
-def test_it_flies_by_name_from_the_command_line(tmp_path):
+def test_a_user_law_flies_by_name_from_the_command_line(tmp_path):
     points = tmp_path / "points.toml"
     points.write_text("setpoints = [{at_s = 0.5, x_m = 0.2, y_m = 0.1, yaw_rad = 0.3}]")
     ran = command_line.airpuck(
@@ -144,7 +144,7 @@ def test_it_flies_by_name_from_the_command_line(tmp_path):
         ("class Other:\n    pass", "has no class 'PID'"),
     ],
 )
-def test_what_is_no_law_is_refused(tmp_path, text, problem):
+def test_classes_that_are_not_laws_are_rejected(tmp_path, text, problem):
     path = tmp_path / "mine.py"
     path.write_text(textwrap.dedent(text))
     with pytest.raises(InputError) as refused:

@@ -84,12 +84,12 @@ def test_the_packaged_tuning_gives_the_gains_of_the_real_flights():
 
 
 @pytest.mark.parametrize("state", ["position", "yaw"])
-def test_a_position_without_weight_is_refused(state):
+def test_a_position_without_weight_is_rejected(state):
     with pytest.raises(InputError, match=r"weights: .*positive weight"):
         lqr_gain(weights(**{state: 0.0}), 0.01)
 
 
-def test_rates_need_no_weight():
+def test_rates_may_have_zero_weight():
     k = lqr_gain(weights(speed=0.0, spin=0.0), 0.01)
     a, b = point_mass(0.01)
     assert np.abs(np.linalg.eigvals(a - b @ k)).max() < 1
@@ -143,7 +143,7 @@ def test_point_mass_is_uniformly_accelerated_motion(h):
     np.testing.assert_allclose(following[3:], start[3:] + h * push, rtol=1e-13)
 
 
-def test_point_mass_entry_by_entry():
+def test_point_mass_matches_a_hand_calculation():
     a, b = point_mass(0.01)
     eye, nothing = np.eye(3), np.zeros((3, 3))
     np.testing.assert_allclose(a, np.block([[eye, 0.01 * eye], [nothing, eye]]), atol=1e-16)
@@ -157,7 +157,7 @@ def test_motor_lag_is_exponential(tau, h):
     assert b == pytest.approx(-np.expm1(-h / tau), rel=1e-11)
 
 
-def test_a_motor_without_lag_follows_at_once():
+def test_a_motor_without_lag_follows_immediately():
     assert motor_lag(0.0, 0.01) == (0.0, 1.0)
 
 
@@ -171,7 +171,7 @@ def test_rotation_error_is_the_neglected_part_of_the_impulse(spin, h):
     np.testing.assert_allclose(error, [expected], atol=1e-12)
 
 
-def test_rotation_error_begins_as_half_the_angle():
+def test_rotation_error_starts_at_half_the_angle():
     spin, h = np.array([1e-3, -1e-3]), np.array([0.01, 0.01])
     np.testing.assert_allclose(rotation_error(spin, h), [5e-6, 5e-6], rtol=1e-6)
 

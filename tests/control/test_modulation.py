@@ -36,7 +36,7 @@ levels = st.lists(st.lists(st.floats(0, 1), min_size=2, max_size=2), min_size=2,
 
 @pytest.mark.parametrize("kind", list(MODULATORS))
 @given(duty=levels.map(np.array))
-def test_the_mean_of_pulses_is_the_mean_of_duty_cycles(kind: str, duty: np.ndarray) -> None:
+def test_pulses_have_the_mean_of_their_duty_cycles(kind: str, duty: np.ndarray) -> None:
     modulator = MODULATORS[kind](OnOff(kind="on_off", least_on_s=LEAST), tuned(kind=kind))
     per_period = round(PERIOD / TICK)
     wanted = np.repeat(duty, per_period, axis=0)
@@ -49,7 +49,7 @@ def test_the_mean_of_pulses_is_the_mean_of_duty_cycles(kind: str, duty: np.ndarr
 
 
 @given(duty=levels.map(np.array))
-def test_duty_cycles_of_a_pwm_are_long_enough_and_keep_the_mean(duty: np.ndarray) -> None:
+def test_pwm_duty_cycles_are_long_enough_and_keep_the_mean(duty: np.ndarray) -> None:
     kind = OnOff(kind="on_off", least_on_s=LEAST, pwm_period_s=0.1)
     modulator = PulseWidth(kind, tuned(period=0.1))
     sent = np.array([modulator.command(0.1 * k, each) for k, each in enumerate(duty)])
@@ -58,7 +58,7 @@ def test_duty_cycles_of_a_pwm_are_long_enough_and_keep_the_mean(duty: np.ndarray
     assert np.abs(np.cumsum(duty - sent, axis=0) * 0.1).max() <= LEAST + 1e-9
 
 
-def test_the_controller_must_run_at_the_pwm_period_and_sigma_delta_needs_switches() -> None:
+def test_pwm_requires_its_period_and_sigma_delta_requires_switches() -> None:
     model = nominal_model(read_vehicle(FREE_FLYERS / "atmos.toml"))
     with pytest.raises(InputError, match=r"period_s: must be the craft's PWM period, 0.1 s"):
         TrackingController(model, SetPoint(0.0, 0.0, 0.0), tuned(), compiled=False)
@@ -89,7 +89,7 @@ def test_the_estimator_receives_the_pulses_that_were_sent() -> None:
     assert pilot.predict(0.2).state[3] == pytest.approx(0.4 / 16.0 * 0.04, rel=0.03)
 
 
-def test_requests_below_the_least_pulse_are_paid_later() -> None:
+def test_requests_below_the_shortest_pulse_are_sent_later() -> None:
     pilot = controller("freeflyer2")
     pilot.reference = SetPoint(0.01, 0.0, 0.0)
     commands = []
@@ -104,7 +104,7 @@ def test_requests_below_the_least_pulse_are_paid_later() -> None:
 
 
 @pytest.mark.slow
-def test_excitation_of_switches_sends_switches() -> None:
+def test_excitation_of_switches_sends_switch_commands() -> None:
     vehicle = read_vehicle(FREE_FLYERS / "atmos.toml")
     switches = vehicle.actuators.model_copy(update={"pwm_period_s": None})
     model = nominal_model(vehicle.model_copy(update={"actuators": switches}))

@@ -99,7 +99,7 @@ def at_rest(x: float, y: float, yaw: float) -> np.ndarray:
 
 
 @pytest.mark.slow
-def test_mpc_reaches_set_points_sooner_than_the_lqr():
+def test_mpc_reaches_set_points_sooner_than_lqr():
     target, settled = np.array([0.6, -0.2, 2.8]), []
     for ours in (free(), TrackingController(MODEL, HOME)):
         states, steps = closed_loop(ours, SetPoint(*target), 2.0, at_rest(-0.6, 0.2, 0.0))
@@ -119,7 +119,7 @@ def test_mpc_flies_a_craft_whose_delay_differs_from_the_model():
 
 
 @pytest.mark.slow
-def test_the_closed_loop_is_that_of_the_physics_by_another_integrator():
+def test_the_closed_loop_matches_an_independent_integration():
     target, start = SetPoint(0.5, 0.1, 1.5), at_rest(-0.2, 0.0, 0.0)
     with jax.enable_x64(True):
 
@@ -134,7 +134,7 @@ def test_the_closed_loop_is_that_of_the_physics_by_another_integrator():
     np.testing.assert_allclose(*commands, atol=2e-4)
 
 
-def test_the_predicted_states_are_the_flown_states():
+def test_the_predicted_states_are_flown():
     states, steps = closed_loop(free(), SetPoint(0.5, 0.1, 1.0), 0.6, at_rest(0.0, 0.0, 0.0))
     ahead = steps[20].prediction
     assert ahead is not None
@@ -185,7 +185,7 @@ def test_a_rendezvous_is_kept(yaw):
 
 
 @pytest.mark.parametrize("sharp", [(1e9, 1e9), (1e9, 0.0), (0.0, 1e9), (0.0, 0.0), (3.0, 0.2)])
-def test_the_path_to_a_rendezvous_has_the_least_cost(sharp):
+def test_the_path_to_a_rendezvous_has_minimum_cost(sharp):
     # A double integrator with an error and a drift, under piecewise constant pushes: least squares.
     left, effort, apart, drift = 0.7, 0.3, 0.2, -0.5
     pieces = 500
@@ -208,7 +208,7 @@ def test_the_path_to_a_rendezvous_has_the_least_cost(sharp):
         assert cost == pytest.approx(effort * closed, rel=1e-4)
 
 
-def test_it_stops_before_rails_that_a_target_is_beyond():
+def test_it_stops_before_a_rail_if_the_target_is_beyond():
     states, steps = closed_loop(free(), SetPoint(3.0, 0.0, 0.0), 1.5, at_rest(0.0, 0.0, 0.0))
     border = Table().reach(MODEL.vehicle.radius_m)[0]
     assert states[:, 0].max() < border
@@ -230,7 +230,7 @@ def test_it_keeps_the_margin_to_the_rails(axis, side):
 
 
 @pytest.mark.parametrize("after", [0.1, 0.5, 0.7])
-def test_an_arrival_between_two_steps_is_weighted_by_how_near_they_are(after):
+def test_an_arrival_between_two_steps_is_weighted_by_their_distance(after):
     """As if the error at the arrival were interpolated: the nearer end of a step counts more."""
     precision = np.array([0.01, 0.02, 0.1, 0.5, 0.4, 1.0])
     settings, delay, count = law().tuning.of(PredictiveSettings), 0.03, 4
@@ -250,7 +250,7 @@ def test_an_arrival_between_two_steps_is_weighted_by_how_near_they_are(after):
 
 
 @pytest.mark.slow
-def test_limits_of_speed_spin_fence_and_discs_are_kept():
+def test_speed_spin_fence_and_disc_limits_are_kept():
     ours = law(
         speed_m_s=0.8,
         spin_rad_s=4.0,
@@ -273,7 +273,7 @@ def test_a_table_smaller_than_the_craft_still_gives_a_command():
     assert {one.status for one in steps} <= {"softened", "iteration limit"}
 
 
-def test_a_law_is_given_the_limits_of_the_moment_as_many_as_there_are():
+def test_a_law_accepts_any_number_of_limits():
     ours, craft = law(), Estimate(0.0, at_rest(0, 0, 0), np.full(6, 0.3), np.zeros(3))
     ours.reference = SetPoint(0.3, 0.0, 0.0)
     there, away = KeepOut(0.0, 0.0, 0.1), KeepOut(9.0, 9.0, 0.1)
@@ -294,7 +294,7 @@ def test_a_law_is_given_the_limits_of_the_moment_as_many_as_there_are():
         assert (step.status, {*step.prediction.active} - {"motor"}) == (status, active), limits
 
 
-def test_a_hard_limit_is_kept_where_a_soft_one_gives_way():
+def test_a_hard_limit_is_kept_where_a_soft_one_is_exceeded():
     """A craft too fast to stop before a line: softly exceeded, or no plan at all."""
     moving = Estimate(0.0, np.array([0.0, 0, 0, 1.0, 0, 0]), np.full(6, 0.3), np.zeros(3))
     for hard, status in ((False, "softened"), (True, "fallback")):
@@ -313,7 +313,7 @@ def test_a_hard_limit_is_kept_where_a_soft_one_gives_way():
         assert step.prediction.states[:, 0].max() < 0.1 + 1e-3
 
 
-def test_a_limit_that_is_no_limit_is_refused():
+def test_an_invalid_limit_is_rejected():
     for wrong in ((0.1, 0, -0.1, 9), (0, 0.1, 9, -0.1), (0.0, np.nan, 1.0, 1.0)):
         with pytest.raises(InputError, match=r"lowest x and y|low_y: must be from -100 to 100"):
             Fence(*wrong)
@@ -323,12 +323,12 @@ def test_a_limit_that_is_no_limit_is_refused():
 
 
 @pytest.mark.parametrize("name", ["fence", "keep_out"])
-def test_limits_set_on_the_law_as_in_former_versions_are_refused(name):
+def test_limits_set_on_the_law_as_in_earlier_versions_are_rejected(name):
     with pytest.raises(InputError, match=rf"{name}: is set by controller\.limits now"):
         setattr(law().law, name, (-0.9, -0.4, 0.9, 0.4))
 
 
-def test_without_a_solution_the_old_plan_then_the_lqr_then_idling_follow(monkeypatch):
+def test_without_a_solution_the_old_plan_then_lqr_then_idling_follow(monkeypatch):
     ours = law()
     controller = ours.law
     assert isinstance(controller, MPC)
@@ -346,7 +346,7 @@ def test_without_a_solution_the_old_plan_then_the_lqr_then_idling_follow(monkeyp
     np.testing.assert_array_equal(idle.command, np.full(6, MODEL.vehicle.command_min))
 
 
-def test_a_plan_that_is_moved_on_keeps_the_motors_limits_to_the_last_digit(monkeypatch):
+def test_a_shifted_plan_meets_the_motor_limits_exactly(monkeypatch):
     ours = law()
     monkeypatch.setattr(Condensed, "solve", lambda self, formed: None)
     most = MODEL.vehicle.command_max

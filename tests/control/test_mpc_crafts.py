@@ -71,13 +71,13 @@ def test_the_prediction_uses_the_estimated_share_of_a_dead_motor():
     assert ends["actuation"] < 0.2 * ends["kalman"]
 
 
-def test_excitation_uses_the_lqr_whatever_law_the_tuning_names():
+def test_excitation_uses_lqr_whatever_law_the_tuning_names():
     pilot = Excitation(M4, tuning=MPC)
     assert isinstance(pilot.controller.law, LQR)
     assert pilot.controller.tuning == default_tuning()
 
 
-def test_more_commands_than_can_be_decided_in_time_are_refused():
+def test_too_many_commands_for_one_period_are_rejected():
     tuning = MPC.with_law("mpc", block=(1,))
     with pytest.raises(InputError, match="240 commands; at most 200") as error:
         TrackingController(craft(8), GOAL, tuning, compiled=False)

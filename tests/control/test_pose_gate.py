@@ -75,7 +75,7 @@ def test_old_stamps_are_ignored_unless_the_clock_was_set_back(craft):
     np.testing.assert_allclose(craft.place(), (0.9, 0.0, 0.0), atol=1e-3)
 
 
-def test_the_longest_pause_follows_camera_and_craft():
+def test_the_longest_pause_depends_on_camera_and_craft():
     model, tuning = MODEL, default_tuning()
     assert longest_pause(model, tuning) == 0.05
     slow = scaled(model, 1e-3)

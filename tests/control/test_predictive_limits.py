@@ -28,13 +28,13 @@ def pairs():
 
 
 @pytest.mark.study
-def test_the_cost_of_the_law_is_within_a_few_percent_of_the_converged_solution(pairs):
+def test_the_cost_is_within_a_few_percent_of_the_converged_solution(pairs):
     assert min(pair.solved for pair in pairs) == 1
     ratio = sum(pair.ours for pair in pairs) / sum(pair.converged for pair in pairs)
     assert 0.999 < ratio < 1.03
 
 
-def test_for_any_input_a_command_is_finite_within_limits_and_has_a_status():
+def test_any_input_gives_a_finite_command_within_limits_and_a_status():
     found = hostile.thrown(flights.law("mpc"), 200, compiled=False)
     assert found.wrong == 0
     assert found.statuses.total() == len(found.spent) == 200
@@ -43,7 +43,7 @@ def test_for_any_input_a_command_is_finite_within_limits_and_has_a_status():
 
 
 @pytest.mark.study
-def test_no_rail_is_touched_near_rails_even_with_packet_loss():
+def test_flights_near_rails_touch_none_even_with_packet_loss():
     tuning = flights.law("mpc")
     # Every other target lies within a centimetre of a rail; these do.
     passages = [rails.passed(seed, tuning, 0.3, 1.2) for seed in range(1, 41, 10)]

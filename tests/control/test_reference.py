@@ -66,7 +66,7 @@ FINITE, SEVERAL, THREE = "finite", "as many times as poses", "three numbers"
         ([0.0], np.zeros((1, 3, 3)), THREE),
     ],
 )
-def test_times_and_poses_that_make_no_sense_are_refused(kind, field, times, poses, problem):
+def test_invalid_times_and_poses_are_rejected(kind, field, times, poses, problem):
     with rejected(match=problem, field=field):
         kind(times, poses)
 
@@ -121,7 +121,7 @@ def test_a_path_has_the_least_curvature_of_all_curves_through_its_poses():
 
 
 @given(time, st.floats(0, 1))
-def test_a_path_is_read_ahead_of_now(now, ahead):
+def test_a_path_is_evaluated_ahead_of_time(now, ahead):
     times, poses = path()
     curve = TimedPath(times, poses)
     early, late = curve.at(now, ahead), curve.at(now + ahead, 0.0)
@@ -130,7 +130,7 @@ def test_a_path_is_read_ahead_of_now(now, ahead):
 
 
 @given(st.floats(1e-9, 1e3))
-def test_outside_its_times_a_path_stands_still(away):
+def test_outside_its_times_a_path_is_at_rest(away):
     times, poses = path()
     curve = TimedPath(times, poses)
     for now, pose in ((times[0] - away, poses[0]), (times[-1] + away, poses[-1])):
@@ -147,7 +147,7 @@ def test_the_yaw_of_a_path_may_exceed_a_full_turn():
     assert target.state[5] == pytest.approx(2 * np.pi, rel=1e-6)
 
 
-def test_a_set_point_has_a_time_and_a_path_two():
+def test_set_points_need_one_pose_and_paths_at_least_two():
     with rejected(match="as many times as poses", field="setpoint"):
         SetPoints([0.0], [])
     with rejected(match="at least 2", field="path"):
@@ -173,7 +173,7 @@ def test_every_target_is_a_reference():
 
 
 @given(st.integers(-5, 5), st.floats(-3, 3))
-def test_adding_whole_turns_to_the_target_requests_nothing(turns, yaw):
+def test_whole_turns_of_the_target_cause_no_motion(turns, yaw):
     controller = turner()
     craft = Estimate(0.0, np.array([0, 0, yaw, 0, 0, 0.0]), IDLE, np.zeros(3))
     here, there = SetPoint(0.1, 0, 0.5), SetPoint(0.1, 0, 0.5 + 2 * np.pi * turns)
@@ -181,7 +181,7 @@ def test_adding_whole_turns_to_the_target_requests_nothing(turns, yaw):
     np.testing.assert_allclose(one, other, atol=1e-9)
 
 
-def test_the_shorter_way_round_is_taken():
+def test_the_shorter_rotation_is_chosen():
     controller = turner()
     craft = Estimate(0.0, np.array([0, 0, 3.0, 0, 0, 0]), IDLE, np.zeros(3))
     forward = steer_to(controller, craft, SetPoint(0, 0, -3.0)).request
@@ -210,7 +210,7 @@ def turner() -> TrackingController:
         ((0.0,) * 6, (np.nan,) + (1.0,) * 5, "precision"),
     ],
 )
-def test_a_rendezvous_that_makes_no_sense_is_refused(state, precision, field):
+def test_an_invalid_rendezvous_is_rejected(state, precision, field):
     with rejected(field=field):
         Rendezvous(1.0, state, precision=precision)
 
@@ -230,7 +230,7 @@ def test_a_rendezvous_targets_its_velocity_until_its_time():
     np.testing.assert_allclose(after.states[:, 2], 0.3)
 
 
-def test_a_rendezvous_requests_its_state_until_its_time_and_then_what_follows():
+def test_a_rendezvous_requests_its_state_and_then_its_successor():
     first = Rendezvous(2.0, (-0.2, 0.0, 0.1, -1.0, 0.0, 0.0), then=SetPoint(0.0, 0.0, 0.3))
     meet = Rendezvous(1.0, (0.5, 0.1, 0.0, 2.0, 0.0, -1.0), then=first)
     np.testing.assert_array_equal(asked(meet, -5.0), meet.state)
@@ -240,7 +240,7 @@ def test_a_rendezvous_requests_its_state_until_its_time_and_then_what_follows():
 
 
 @pytest.mark.parametrize("x, y", [(1.01, 0.0), (-1.01, 0.0), (0.0, 0.51), (0.0, -0.51)])
-def test_set_points_lie_within_a_border_on_all_sides(x, y):
+def test_set_points_keep_the_border_on_all_sides(x, y):
     check_inside(SetPoint(0.99 * x, 0.97 * y, 0.0), (1.0, 0.5))
     for reference in (SetPoint(x, y, 0.0), SetPoints([0.0], [(x, y, 0.0)])):
         with pytest.raises(InputError, match="outside"):
@@ -250,7 +250,7 @@ def test_set_points_lie_within_a_border_on_all_sides(x, y):
 @pytest.mark.parametrize(
     ("x", "yaw", "words"), [(1.01, 0.0, "outside the geofence"), (0.0, 90.0, "is it in degrees")]
 )
-def test_a_set_point_from_a_file_is_refused_with_the_name_of_the_file(tmp_path, x, yaw, words):
+def test_a_set_point_from_a_file_is_rejected_with_the_name_of_the_file(tmp_path, x, yaw, words):
     path = tmp_path / "points.toml"
     path.write_text(f"[[setpoints]]\nat_s = 0.0\nx_m = {x}\ny_m = 0.0\nyaw_rad = {yaw}\n")
     with pytest.raises(InputError, match=rf"points\.toml: setpoint: .*{words}"):

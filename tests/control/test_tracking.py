@@ -31,7 +31,7 @@ from ..apparatus.closed_loops import (
 )
 
 
-def test_the_loop_on_the_nominal_craft_agrees_with_the_linear_loop_of_python_control():
+def test_the_nominal_loop_agrees_with_python_control():
     # Without saturation the motors give what the regulator requested one period ago:
     # x⁺ = A x + B v, v⁺ = -K (x⁺ - target). Thrusts, motors and turning drop out.
     target = np.array([0.02, -0.03, 0.4, 0, 0, 0])
@@ -88,7 +88,7 @@ def test_compiled_and_numpy_give_the_same_commands():
 
 
 @pytest.mark.parametrize("compensate", [True, False])
-def test_a_step_in_one_program_is_a_prediction_and_its_steering(monkeypatch, compensate):
+def test_one_step_equals_prediction_followed_by_steering(monkeypatch, compensate):
     # If JAX runs programs of any size in the calling thread, the controller has one for both.
     monkeypatch.setattr(tracking, "large_programs_are_fast", lambda: True)
     point, random = SetPoint(0.4, -0.2, 2.0), np.random.default_rng(1)
@@ -146,7 +146,7 @@ def test_without_rejection_the_offset_is_disturbance_over_gain():
 
 
 @pytest.mark.slow
-def test_set_points_are_reached_and_the_yaw_turns_the_shorter_way():
+def test_set_points_are_reached_by_the_shorter_rotation():
     points = [(0.0, 0.0, 0.0), (0.3, -0.2, 1.5), (0.1, 0.2, -2.5), (0.1, 0.2, 2.8)]
     ours = controller(SetPoints([0.0, 0.5, 3.5, 6.5], points), compiled=True)
     times, poses, steps = fly(ours, 9.5)
@@ -193,7 +193,7 @@ def test_a_path_is_followed_closely_thanks_to_its_feed_forward():
     assert errors[0] < 0.2 * errors[1]
 
 
-def test_a_path_is_followed_in_time_over_a_slow_radio():
+def test_a_path_is_followed_on_time_over_a_slow_radio():
     # A path read one transport delay too early or too late is 5 cm away.
     path = circle()
     late = MODEL.with_delay(LONG)
@@ -202,7 +202,7 @@ def test_a_path_is_followed_in_time_over_a_slow_radio():
     assert np.abs(poses[:, :2] - wanted)[when > 1.5].max() < 0.012
 
 
-def test_a_reference_is_evaluated_when_the_command_will_have_acted():
+def test_a_reference_is_evaluated_when_the_command_takes_effect():
     asked = []
 
     class Asked:
@@ -217,7 +217,7 @@ def test_a_reference_is_evaluated_when_the_command_will_have_acted():
 
 
 @pytest.mark.slow
-def test_with_the_delay_compensated_the_craft_flies_as_without_one_only_later():
+def test_with_delay_compensation_the_flight_is_only_delayed():
     # Smith's predictor, with a perfect model.
     target, flown = SetPoint(0.02, -0.01, 1.0), {}
     for delay, compensated in ((0.0, True), (LONG, True), (LONG, False)):
@@ -294,7 +294,7 @@ def one_way(k: int, _) -> dict:
     ],
     ids=["a falling curve", "no turn", "one line", "one sense of rotation"],
 )
-def test_a_craft_that_cannot_be_steered_is_refused(model, says):
+def test_a_craft_that_cannot_be_steered_is_rejected(model, says):
     with pytest.raises(InputError, match=says):
         TrackingController(model, HOME, compiled=False)
 
@@ -313,7 +313,7 @@ def test_the_first_example_of_the_documentation_runs(tmp_path, monkeypatch):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("law", ["lqr", "mpc"])
-def test_motors_keep_turning_at_the_least_command_of_the_tuning_while_the_craft_is_steered(law):
+def test_motors_run_at_least_at_the_lowest_command_of_the_tuning(law):
     turning = default_tuning().model_copy(update={"least_command": 0.08})
     commands = {}
     for tuning in (default_tuning(), turning):
@@ -325,7 +325,7 @@ def test_motors_keep_turning_at_the_least_command_of_the_tuning_while_the_craft_
     assert commands[0.08][1:].min() == pytest.approx(0.08)
 
 
-def test_a_least_command_that_the_craft_cannot_take_is_refused():
+def test_a_lowest_command_outside_the_crafts_range_is_rejected():
     tuning = default_tuning().model_copy(update={"least_command": 1.0})
     with pytest.raises(InputError, match="least_command"):
         controller(tuning=tuning)

@@ -40,7 +40,7 @@ def test_a_stale_pose_idles_the_motors_until_the_next():
 
 
 @pytest.mark.parametrize("jump", [[0.2, 0, 0], [0, -0.2, 0], [0, 0, 2.0]])
-def test_a_single_jump_idles_once_and_is_forgotten(jump):
+def test_a_single_jump_idles_once_and_is_then_ignored(jump):
     ours, spared = controller(), controller()
     last = hold_still(ours)
     hold_still(spared)
@@ -62,7 +62,7 @@ def test_a_motion_within_the_crafts_limits_is_not_a_jump(jump):
 
 
 @pytest.mark.parametrize("rate", [100.0, 1000.0, 2000.0])
-def test_poses_are_accepted_after_a_time_not_after_a_count(rate):
+def test_poses_are_accepted_after_a_time_not_a_count(rate):
     ours = controller()
     for k in range(12):
         ours.pose(k / rate, NOTHING)
@@ -87,7 +87,7 @@ def test_random_poses_are_never_accepted(seed):
         idles(ours.step(last + k * FRAME), "jumping pose")
 
 
-def test_after_a_long_pause_a_pose_is_not_accepted_for_matching_the_old_prediction():
+def test_after_a_long_pause_an_old_prediction_does_not_validate_a_pose():
     ours = controller()
     last = hold_still(ours)
     for k in range(1, 25):
@@ -125,7 +125,7 @@ def test_a_nan_pose_idles_the_motors_until_the_next_pose(bad):
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-def test_a_time_that_is_not_a_number_idles_the_motors_once(bad):
+def test_a_nan_time_idles_the_motors_once(bad):
     ours = controller()
     last = hold_still(ours)
     idles(ours.step(bad), "bad input")
@@ -234,7 +234,7 @@ def test_a_sent_nan_command_is_ignored(bad):
 
 
 @pytest.mark.parametrize("wrong", [1000.0, 1.0, np.nan, np.inf, -np.inf, 0.045])
-def test_an_impossible_sending_time_is_replaced_and_a_late_one_does_not_hold_up_the_next(wrong):
+def test_an_impossible_sending_time_is_replaced_and_delays_no_other(wrong):
     _, step = flown(lambda k, time, command: (time + wrong if k == 20 else time, command))
     _, other = flown(lambda k, time, command: (time, command))
     tolerance = 0.02 if wrong == 0.045 else 0.0
@@ -242,7 +242,7 @@ def test_an_impossible_sending_time_is_replaced_and_a_late_one_does_not_hold_up_
 
 
 @pytest.mark.parametrize("command", [np.zeros(4), [0.1] * 7, np.zeros((6, 1))])
-def test_a_sent_command_of_another_shape_is_refused_and_leaves_no_trace(command):
+def test_a_sent_command_of_the_wrong_shape_is_rejected_without_effect(command):
     ours = controller()
     last = hold_still(ours)
     with pytest.raises(InputError, match="must be 6 numbers"):
@@ -252,7 +252,7 @@ def test_a_sent_command_of_another_shape_is_refused_and_leaves_no_trace(command)
 
 
 @pytest.mark.parametrize("poses", [0, 12])
-def test_a_pause_of_the_cameras_keeps_memory_bounded_and_the_motor_estimate(poses):
+def test_a_camera_pause_keeps_memory_bounded_and_the_motor_estimate(poses):
     ours = controller()
     hold_still(ours, poses)
     random = np.random.default_rng(0)
@@ -282,7 +282,7 @@ def test_a_stamp_in_the_future_idles_the_motors_until_the_next_pose():
     restarts_at_rest(ours, last + 2 * FRAME)
 
 
-def test_a_solver_that_fails_idles_the_motors_until_it_works(monkeypatch):
+def test_a_failing_solver_idles_the_motors_until_it_works(monkeypatch):
     ours = controller(SetPoint(0.1, 0, 0))
     last = hold_still(ours)
     before = ours.step(last)
@@ -294,7 +294,7 @@ def test_a_solver_that_fails_idles_the_motors_until_it_works(monkeypatch):
     np.testing.assert_array_equal(ours.step(last).command, before.command)
 
 
-def test_limits_are_checked_when_they_are_set_and_kept_for_every_step():
+def test_limits_are_checked_when_set_and_kept_at_every_step():
     ours, fence = controller(law=Walled), Fence(-0.5, -0.4, 0.5, 0.4)
     for wrong in (fence, None, [(0.0, 0.0, 0.1)]):
         with pytest.raises(InputError, match="limits: must be a list of Fence, KeepOut and"):
@@ -313,7 +313,7 @@ class Walled(Law):
     obeys_limits = True
 
 
-def test_a_law_that_ignores_limits_takes_no_hard_ones_and_warns_about_soft_ones(tmp_path):
+def test_a_law_without_limits_rejects_hard_ones_and_warns_about_soft_ones(tmp_path):
     hard, soft = Fence(-0.5, -0.3, 0.5, 0.3, hard=True), KeepOut(0.3, 0.0, 0.1)
     for law in ("lqr", "plan", LQR, Law):
         refused = r'^limits: are ignored by [a-z ]+; use law="mpc"$'

@@ -94,14 +94,14 @@ angular_disturbance_density = 0.4
         ),
     )
 )
-def test_a_saved_tuning_reads_back_equal(tmp_path_factory, tuning):
+def test_a_tuning_round_trips(tmp_path_factory, tuning):
     path = tmp_path_factory.mktemp("tuning") / "tuning.toml"
     tuning.save(path)
     assert read_tuning(path) == tuning
 
 
 @given(WEIGHTS, st.floats(1e-3, 0.1))
-def test_weights_of_a_file_give_a_regulator_or_are_refused(weights, period):
+def test_weights_in_a_file_give_a_regulator_or_are_rejected(weights, period):
     try:
         gain = lqr_gain(weights, period)
     except InputError as error:
@@ -111,7 +111,7 @@ def test_weights_of_a_file_give_a_regulator_or_are_refused(weights, period):
     assert np.abs(np.linalg.eigvals(a - b @ gain)).max() < 1 + 1e-9
 
 
-def test_every_number_of_a_file_is_read_into_its_own_field(tmp_path):
+def test_every_number_in_a_file_is_read_into_its_own_field(tmp_path):
     path = tmp_path / "mine.toml"
     path.write_text(GOOD)
     tuning = read_tuning(path)
@@ -123,7 +123,7 @@ def test_every_number_of_a_file_is_read_into_its_own_field(tmp_path):
     assert (noise.disturbance_density, noise.angular_disturbance_density) == (0.3, 0.4)
 
 
-def test_missing_keys_have_the_packaged_values(tmp_path):
+def test_missing_keys_default_to_the_packaged_values(tmp_path):
     path, packaged = tmp_path / "mine.toml", default_tuning()
     path.write_text("[law.lqr.weights]\nyaw = 7.0\n")
     weights = weights_of(packaged).model_copy(update={"yaw": 7.0})
@@ -179,7 +179,7 @@ def test_missing_keys_have_the_packaged_values(tmp_path):
         ],
     ],
 )
-def test_a_mistake_is_named_with_file_and_field(tmp_path, old, new, field, problem):
+def test_a_mistake_is_reported_with_file_and_field(tmp_path, old, new, field, problem):
     assert old in GOOD
     path = tmp_path / "mine.toml"
     path.write_text(GOOD.replace(old, new, 1))
@@ -187,7 +187,7 @@ def test_a_mistake_is_named_with_file_and_field(tmp_path, old, new, field, probl
         read_tuning(path)
 
 
-def test_a_slowed_regulator_does_the_same_more_slowly():
+def test_a_slowed_regulator_scales_its_gains():
     tuning = default_tuning()
     gain, slow = (
         lqr_gain(weights_of(one), period)
@@ -197,14 +197,14 @@ def test_a_slowed_regulator_does_the_same_more_slowly():
     np.testing.assert_allclose(slow[:, 3:], gain[:, 3:] / 4, rtol=1e-6, atol=1e-12)
 
 
-def test_only_a_much_slower_craft_gets_another_tuning():
+def test_only_a_much_slower_craft_gets_a_different_tuning():
     vehicle = default_vehicle()
     assert tuning_for(nominal_model(vehicle)) == default_tuning()
     heavy = nominal_model(vehicle.model_copy(update={"mass_kg": 10 * vehicle.mass_kg}))
     assert weights_of(tuning_for(heavy)).speed > weights_of(default_tuning()).speed
 
 
-def test_a_craft_that_answers_late_gets_a_slower_filter():
+def test_a_slow_craft_gets_a_slower_filter():
     late = nominal_model(default_vehicle())
     own = replace(late.parameters, motor_time_constant=0.1, transport_delay=0.06)
     tuned = tuning_for(replace(late, parameters=own))
@@ -231,7 +231,7 @@ def test_the_estimator_expects_the_noise_of_the_models_recordings():
     assert tuning_for(replace(model, cameras=exact)) == default_tuning()
 
 
-def test_every_default_is_the_tuning_for_the_model():
+def test_every_default_equals_the_tuning_for_the_model():
     cameras = Cameras(rate_hz=120, position_noise_m=3e-4, yaw_noise_rad=4e-3)
     model = replace(nominal_model(default_vehicle()), cameras=cameras)
     tuning = tuning_for(model)
@@ -240,7 +240,7 @@ def test_every_default_is_the_tuning_for_the_model():
     assert controller.tuning.estimation == tuning.estimation
 
 
-def test_a_tuning_file_may_state_only_differences_from_the_tuning_for_a_model(tmp_path):
+def test_a_tuning_file_may_hold_only_differences_from_the_default(tmp_path):
     cameras = Cameras(rate_hz=120, position_noise_m=3e-4, yaw_noise_rad=4e-3)
     model = replace(nominal_model(default_vehicle()), cameras=cameras)
     (tmp_path / "mine.toml").write_text('law.kind = "mpc"')
@@ -248,7 +248,7 @@ def test_a_tuning_file_may_state_only_differences_from_the_tuning_for_a_model(tm
     assert read_tuning(tmp_path / "mine.toml") == default_tuning().with_law("mpc")
 
 
-def test_a_craft_with_its_own_pwm_gets_a_command_per_period():
+def test_a_craft_with_pwm_gets_one_command_per_period():
     for name in ("atmos", "freeflyer2"):
         vehicle = read_vehicle(EXAMPLES / f"free_flyers/{name}.toml")
         tuning = tuning_for(nominal_model(vehicle))
@@ -262,13 +262,13 @@ def test_a_craft_with_its_own_pwm_gets_a_command_per_period():
             )
 
 
-def test_a_law_is_chosen_by_name_and_nothing_else_changes():
+def test_a_law_is_selected_by_name_and_changes_nothing_else():
     tuning = default_tuning()
     assert [tuning.with_law(kind).law.kind for kind in LAWS] == list(LAWS)
     assert tuning.with_law("mpc").with_law("lqr") == tuning
 
 
-def test_an_unknown_law_or_estimator_is_refused():
+def test_an_unknown_law_or_estimator_is_rejected():
     tuning = default_tuning()
     with pytest.raises(InputError, match=r"law\.kind: must be 'lqr', 'mpc', .*not 'MPC'"):
         tuning.with_law("MPC")
@@ -278,7 +278,7 @@ def test_an_unknown_law_or_estimator_is_refused():
         tuning.with_estimator("actuaton")
 
 
-def test_a_missing_file_and_broken_toml_are_named(tmp_path):
+def test_a_missing_file_and_invalid_toml_are_reported(tmp_path):
     with pytest.raises(InputError, match=r"nowhere\.toml: there is no such file"):
         read_tuning(tmp_path / "nowhere.toml")
     (tmp_path / "broken.toml").write_text("[law.lqr.weights\n")
@@ -301,13 +301,13 @@ def test_a_missing_file_and_broken_toml_are_named(tmp_path):
         ("[law.plan]\niterations = 5", "law.plan", "no settings"),
     ],
 )
-def test_a_file_that_writes_a_setting_elsewhere_learns_where_it_belongs(tmp_path, old, field, now):
+def test_a_misplaced_setting_is_reported_with_its_right_place(tmp_path, old, field, now):
     (tmp_path / "older.toml").write_text(old)
     with rejected(now, tmp_path / "older.toml", field=field):
         read_tuning(tmp_path / "older.toml")
 
 
-def test_settings_name_their_law_and_their_missing_fields():
+def test_errors_in_settings_name_the_law_and_missing_fields():
     class Nameless(LawSettings):
         stiffness: float = 8.0
 

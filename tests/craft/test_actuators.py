@@ -16,7 +16,7 @@ PERIOD = 0.1
 
 
 @pytest.mark.parametrize("name", ["atmos", "freeflyer2"])
-def test_free_flyers_push_and_turn_both_ways_and_survive_a_file(name: str, tmp_path: Path) -> None:
+def test_free_flyers_push_and_turn_both_ways_and_round_trip(name: str, tmp_path: Path) -> None:
     vehicle = read_vehicle(FREE_FLYERS / f"{name}.toml")
     x, y = vehicle.positions.T
     along, across = vehicle.directions.T
@@ -29,7 +29,7 @@ def test_free_flyers_push_and_turn_both_ways_and_survive_a_file(name: str, tmp_p
     assert read_vehicle(tmp_path / "again.toml") == vehicle
 
 
-def test_the_file_of_a_propeller_craft_does_not_change(tmp_path: Path) -> None:
+def test_a_propeller_craft_keeps_its_file_format(tmp_path: Path) -> None:
     default_vehicle().save(tmp_path / "holohover.toml")
     assert "actuators" not in (tmp_path / "holohover.toml").read_text()
 
@@ -51,7 +51,7 @@ def test_errors_name_the_field(wrong: str, instead: str, message: str, tmp_path:
         read_vehicle(tmp_path / "wrong.toml")
 
 
-def test_no_rung_has_a_curved_force() -> None:
+def test_on_off_thrusters_reject_curved_thrust() -> None:
     vehicle: Vehicle = read_vehicle(FREE_FLYERS / "atmos.toml")
     assert named_rung("M3").initial(vehicle).thrust.shape == (8, 1)
     for rung in (named_rung("M3", degree=3), named_rung("quadratic")):
@@ -65,7 +65,7 @@ duties = st.lists(st.lists(st.floats(0, 1), min_size=3, max_size=3), min_size=2,
 
 
 @given(duty=duties, start=st.floats(-1e3, 1e3))
-def test_pulses_have_the_mean_of_the_duty_cycles(duty: np.ndarray, start: float) -> None:
+def test_pulses_have_the_mean_of_their_duty_cycles(duty: np.ndarray, start: float) -> None:
     sent = start + PERIOD * np.arange(len(duty))
     time, drive = OnOff(kind="on_off", pwm_period_s=PERIOD).drive(sent, duty)
     assert set(np.unique(drive)) <= {0.0, 1.0}
@@ -77,14 +77,14 @@ def test_pulses_have_the_mean_of_the_duty_cycles(duty: np.ndarray, start: float)
         np.testing.assert_allclose(open_s, PERIOD * wanted, atol=1e-7)
 
 
-def test_pulses_that_are_too_short_last_for_the_least_on_time() -> None:
+def test_too_short_pulses_last_the_shortest_on_time() -> None:
     kind = OnOff(kind="on_off", pwm_period_s=PERIOD, least_on_s=0.02)
     time, drive = kind.drive(np.zeros(1), np.array([[0.1, 0.5, 0.0]]))
     assert time.tolist() == [0.0, 0.02, 0.05]
     assert drive.tolist() == [[1, 1, 0], [0, 1, 0], [0, 0, 0]]
 
 
-def test_commands_at_another_pace_act_by_their_mean() -> None:
+def test_commands_at_other_periods_act_by_their_mean() -> None:
     time, duty = 0.02 * np.arange(10), np.full((10, 2), 0.3)
     for kind in (OnOff(kind="on_off", pwm_period_s=PERIOD), default_vehicle().actuators):
         found, drive = kind.drive(time, duty)
@@ -92,13 +92,13 @@ def test_commands_at_another_pace_act_by_their_mean() -> None:
         assert drive is duty
 
 
-def test_switches_survive_a_file(tmp_path: Path) -> None:
+def test_switches_round_trip(tmp_path: Path) -> None:
     vehicle = read_vehicle(FREE_FLYERS / "atmos.toml")
     switches = vehicle.model_copy(update={"actuators": OnOff(kind="on_off", rise_s=0.01)})
     switches.save(tmp_path / "again.toml")
     assert read_vehicle(tmp_path / "again.toml").actuators == switches.actuators
 
 
-def test_a_switch_opens_at_a_command_of_one_half() -> None:
+def test_a_switch_opens_at_half_command() -> None:
     _, drive = OnOff(kind="on_off").drive(np.zeros(1), np.array([[0.0, 0.4, 0.5, 1.0]]))
     assert drive.tolist() == [[0, 0, 1, 1]]

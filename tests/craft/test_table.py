@@ -10,7 +10,7 @@ from ..apparatus.tables import EVERYTHING
 
 
 @pytest.mark.parametrize("table", [EVERYTHING, AirHockey()])
-def test_a_table_survives_a_file_which_is_also_one_for_the_twin(tmp_path, table):
+def test_a_table_round_trips_and_is_valid_for_the_twin(tmp_path, table):
     table.save(tmp_path / "table.toml")
     assert read_table(tmp_path / "table.toml") == table
     twin = read_twin_settings(tmp_path / "table.toml")
@@ -18,7 +18,7 @@ def test_a_table_survives_a_file_which_is_also_one_for_the_twin(tmp_path, table)
     assert (twin.table, twin.puck, twin.mallet) == (table.table, table.puck, table.mallet)
 
 
-def test_a_file_changes_what_it_names_and_nothing_else(tmp_path):
+def test_a_file_changes_only_the_fields_that_it_names(tmp_path):
     path = tmp_path / "table.toml"
     path.write_text("[puck.rail]\nrestitution = 0.7\n[table]\ngoal_width_m = 0.25")
     found = read_table(path)
@@ -27,7 +27,7 @@ def test_a_file_changes_what_it_names_and_nothing_else(tmp_path):
     assert found.puck.mallet == Puck().mallet
 
 
-def test_numbers_that_were_not_identified_are_marked_as_assumed(tmp_path):
+def test_unidentified_numbers_are_marked_as_assumed(tmp_path):
     assert "rail.restitution" in Puck().assumed
     assert not {"rail.restitution", "drag_1_s"} & set(EVERYTHING.puck.assumed)
     assert "mallet.grip" in EVERYTHING.puck.assumed
@@ -35,7 +35,7 @@ def test_numbers_that_were_not_identified_are_marked_as_assumed(tmp_path):
     assert "mallet.grip" in (tmp_path / "table.toml").read_text().partition("[")[0]
 
 
-def test_the_defaults_are_the_published_ones():
+def test_the_defaults_match_the_publication():
     puck = Puck()
     assert (puck.radius_m, puck.mass_kg, puck.drag_1_s) == (0.03165, 0.010, 0.2)
     assert (puck.rail.restitution, puck.mallet.restitution) == (0.79, 0.80)

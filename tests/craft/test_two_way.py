@@ -41,7 +41,7 @@ def test_craft_without_reverse_have_no_additional_columns(tmp_path: Path) -> Non
     assert vehicle.actuation.split(drive) is vehicle.actuation.joined(drive) is drive
 
 
-def test_negative_commands_drive_the_other_way(tmp_path: Path) -> None:
+def test_negative_commands_reverse_the_actuator(tmp_path: Path) -> None:
     actuation = triangle(tmp_path).actuation
     command = np.array([[0.5, -0.4, 0.3, -0.2], [-1.0, 1.0, 0.0, 1.0]])
     times, drives = actuation.drive(np.array([0.0, 1.0]), command)
@@ -53,7 +53,7 @@ def test_negative_commands_drive_the_other_way(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("commanded", ["torque", "speed"])
-def test_a_wheel_gives_no_more_momentum_than_its_speed_limit(commanded: str) -> None:
+def test_a_wheel_stops_accelerating_at_its_speed_limit(commanded: str) -> None:
     wheel = Wheel(
         name="w", torque_Nm=0.02, inertia_kg_m2=1e-4, max_speed_rad_s=600.0, commanded=commanded
     )
@@ -71,7 +71,7 @@ def test_a_wheel_gives_no_more_momentum_than_its_speed_limit(commanded: str) -> 
         now = end
 
 
-def test_a_fit_learns_one_number_for_each_way_of_a_wheel(tmp_path: Path) -> None:
+def test_a_fit_learns_one_number_per_direction_of_a_wheel(tmp_path: Path) -> None:
     vehicle = triangle(tmp_path)
     rung = named_rung("M3")
     start = rung.initial(vehicle)

@@ -36,7 +36,7 @@ def quad(tmp_path):
     return path
 
 
-def test_default_is_the_papers_hovercraft():
+def test_the_default_is_the_papers_hovercraft():
     vehicle = default_vehicle()
     # Geometry of the paper: 46.5 mm from the centre, 18.8 degrees beside 0, 120, 240 degrees.
     radius = np.linalg.norm(vehicle.positions, axis=1)
@@ -51,14 +51,14 @@ def test_default_is_the_papers_hovercraft():
     np.testing.assert_allclose(np.sum(middle * first, axis=1), 0, atol=1e-9)
 
 
-def test_any_number_of_propellers(quad):
+def test_any_number_of_propellers_is_accepted(quad):
     vehicle = read_vehicle(quad)
     assert vehicle.n_propellers == 2
     assert vehicle.pair_indices == ((0, 1),)
     np.testing.assert_array_equal(vehicle.nominal_thrust, [[0.1, 0.5], [0.2, 0.6]])
 
 
-def test_reads_back_what_it_writes(quad, tmp_path):
+def test_a_vehicle_file_round_trips(quad, tmp_path):
     vehicle = read_vehicle(quad)
     vehicle.save(tmp_path / "copy.toml")
     assert read_vehicle(tmp_path / "copy.toml") == vehicle
@@ -89,7 +89,7 @@ def test_reads_back_what_it_writes(quad, tmp_path):
         ("[nominal]", "[nominal]\nmotor_time_constant_s = 30", r"_s = 30 .*: milliseconds\?"),
     ],
 )
-def test_bad_fields_are_named(quad, old, new, message):
+def test_invalid_fields_are_named(quad, old, new, message):
     assert old in QUAD
     quad.write_text(QUAD.replace(old, new, 1))
     with pytest.raises(InputError, match=message) as error:
@@ -103,12 +103,12 @@ def test_columns_are_matched_by_name():
 
 
 @pytest.mark.parametrize("columns", [("motor_a_1",), ("a", "b", "c", "d", "e", "f")])
-def test_other_motors_are_refused(columns):
+def test_unknown_motors_are_rejected(columns):
     with pytest.raises(InputError, match="motor_a_1"):
         match_columns(default_vehicle(), columns, source="bag")
 
 
-def test_vehicles_compare_and_hash():
+def test_vehicles_are_comparable_and_hashable():
     assert default_vehicle() == default_vehicle()
     assert isinstance(hash(default_vehicle()), int)
     assert Vehicle.model_validate(default_vehicle().model_dump()) == default_vehicle()
@@ -119,7 +119,7 @@ def test_vehicles_compare_and_hash():
     assert hash(used) == hash(default_vehicle())
 
 
-def test_columns_without_names_are_in_the_order_of_the_vehicle():
+def test_unnamed_columns_follow_the_order_of_the_vehicle():
     vehicle = default_vehicle()
     assert match_columns(vehicle, unnamed_columns(6), source="x") == [0, 1, 2, 3, 4, 5]
     renamed = with_propellers(vehicle, lambda k, _: {"name": unnamed_columns(6)[5 - k]})
@@ -128,7 +128,7 @@ def test_columns_without_names_are_in_the_order_of_the_vehicle():
         match_columns(vehicle, unnamed_columns(4), source="x")
 
 
-def test_copies_have_the_positions_of_their_own_propellers():
+def test_copies_have_their_own_propeller_positions():
     vehicle = default_vehicle()
     positions, directions = vehicle.positions, vehicle.directions
     turned = vehicle.model_copy(update={"propellers": vehicle.propellers[::-1]})

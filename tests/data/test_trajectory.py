@@ -26,12 +26,12 @@ def flight():
     return fly(published_model("M3"), duration=2.0)
 
 
-def test_delay_moves_the_input(flight):
+def test_the_delay_shifts_the_input(flight):
     events = replace(flight, delay=2 / 240 - 1e-9)
     np.testing.assert_array_equal(events.input[2:], flight.input[:-2])
 
 
-def test_file_reads_back_equal(flight, tmp_path):
+def test_a_trajectory_file_round_trips(flight, tmp_path):
     doubtful = Span(0.5, 0.7, "radio out", 0.83)
     saved = replace(flight, warnings=("odd",), delay=0.02)
     saved = saved.leave_out([doubtful, Span(0.1, 0.2, "gap")])
@@ -52,7 +52,7 @@ def test_file_reads_back_equal(flight, tmp_path):
         assert {"t", "state", "input", "command_time", "command"} <= set(archive.files)
 
 
-def test_files_of_earlier_versions_name_no_vehicle(flight, tmp_path):
+def test_files_of_earlier_versions_have_no_vehicle(flight, tmp_path):
     known = replace(flight, vehicle=default_vehicle())
     known.save(tmp_path / "new.npz")
     assert read_trajectory(tmp_path / "new.npz").vehicle == default_vehicle()
@@ -64,7 +64,7 @@ def test_files_of_earlier_versions_name_no_vehicle(flight, tmp_path):
     assert read_trajectory(tmp_path / "old.npz").vehicle is None
 
 
-def test_trajectories_agree_on_their_vehicle(flight):
+def test_trajectories_must_agree_on_their_vehicle(flight):
     heavy = default_vehicle().model_copy(update={"name": "heavy", "mass_kg": 0.2})
     one, unknown, other = (
         replace(flight, vehicle=vehicle) for vehicle in (heavy, None, default_vehicle())
@@ -75,7 +75,7 @@ def test_trajectories_agree_on_their_vehicle(flight):
         vehicle_of([one, unknown, other])
 
 
-def test_junk_a_cut_file_and_pickled_arrays_are_refused(flight, tmp_path):
+def test_junk_truncated_files_and_pickled_arrays_are_rejected(flight, tmp_path):
     path = tmp_path / "flight.npz"
     flight.save(path)
     content = path.read_bytes()
@@ -87,14 +87,14 @@ def test_junk_a_cut_file_and_pickled_arrays_are_refused(flight, tmp_path):
             read_trajectory(path)
 
 
-def test_slice_keeps_time_and_commands(flight):
+def test_a_slice_keeps_time_and_commands(flight):
     part = flight.slice(0.25, 0.75)
     assert len(part) == len(flight) // 2
     np.testing.assert_array_equal(part.input, flight.input[120:360])
 
 
 @pytest.mark.parametrize("span", [(0.5, 0.5), (0.6, 0.4), (-0.1, 0.5), (0.5, 1.1), (0.5, 0.5001)])
-def test_bad_spans_are_refused(flight, span):
+def test_bad_spans_are_rejected(flight, span):
     with pytest.raises(InputError, match="span"):
         flight.slice(*span)
 
@@ -104,7 +104,7 @@ def test_bad_spans_are_refused(flight, span):
     st.integers(2, 80),
     st.integers(1, 20),
 )
-def test_no_window_touches_an_excluded_span(flight, spans, length, stride):
+def test_no_window_overlaps_an_excluded_span(flight, spans, length, stride):
     excluded = tuple(Span(start, start + width, "gap") for start, width in spans)
     marked = replace(flight, excluded=excluded)
     for start in marked.window_starts(length, stride):
@@ -114,12 +114,12 @@ def test_no_window_touches_an_excluded_span(flight, spans, length, stride):
             assert not np.any((time >= span.start) & (time <= span.stop))
 
 
-def test_every_window_that_fits_is_there(flight):
+def test_all_fitting_windows_are_made(flight):
     assert len(flight.window_starts(70)) == len(flight) - 69
     assert len(flight.window_starts(70, 70)) == len(flight) // 70
 
 
-def test_windows_never_join_two_recordings(flight):
+def test_windows_never_span_two_recordings(flight):
     other = fly(published_model("M3"), duration=2.0, seed=1)
     windows = make_windows([flight, other], 20, 50)
     ends = windows.starts + 69
@@ -127,7 +127,7 @@ def test_windows_never_join_two_recordings(flight):
     assert len(windows) == 2 * (len(flight) - 69)
 
 
-def test_past_and_future_meet_at_the_present(flight):
+def test_the_future_starts_where_the_past_ends(flight):
     windows = make_windows(flight, 20, 50, stride=70)
     past, (commands, durations, measured) = windows.past(), windows.future()
     first = windows.starts[1]
@@ -137,12 +137,12 @@ def test_past_and_future_meet_at_the_present(flight):
     np.testing.assert_allclose(durations, 1 / 240)
 
 
-def test_too_short_a_recording_is_refused(flight):
+def test_too_short_a_recording_is_rejected(flight):
     with pytest.raises(InputError, match="needs 70 samples"):
         make_windows(flight.slice(0, 0.1))
 
 
-def test_one_window_over_the_whole_flight(flight):
+def test_one_window_can_cover_the_whole_flight(flight):
     windows = make_windows(flight, 20, None)
     assert len(windows) == 1
     assert windows.prediction_length == len(flight) - 20
@@ -154,7 +154,7 @@ def test_a_raw_recording_is_rejected_with_the_command_to_preprocess_it(given):
         as_trajectories(given)
 
 
-def test_one_trajectory_or_several_are_a_list(flight):
+def test_one_trajectory_or_several_become_a_list(flight):
     assert as_trajectories(flight) == [flight]
     assert as_trajectories((flight, flight)) == [flight, flight]
 
@@ -163,7 +163,7 @@ TIMES = st.lists(st.floats(0, 10), min_size=1, max_size=20).map(sorted)
 
 
 @given(TIMES, st.lists(st.floats(-1, 11), min_size=1, max_size=20))
-def test_hold_is_the_last_value_before(events, times):
+def test_hold_returns_the_latest_value(events, times):
     values = np.arange(len(events), dtype=float)[:, None]
     held = hold(np.array(events), values, np.array(times))[:, 0]
     for time, value in zip(times, held, strict=True):
@@ -171,7 +171,7 @@ def test_hold_is_the_last_value_before(events, times):
         assert value == (before[-1] if before else 0)
 
 
-def test_the_mean_by_hand():
+def test_the_mean_matches_a_hand_calculation():
     """A step from 0 to 1 at 0.3 and on to 3 at 0.9: in [0, 1] 0.6·1 + 0.1·3, and then 3."""
     events, values = np.array([-1.0, 0.3, 0.9]), np.array([[0.0], [1.0], [3.0]])
     time = np.array([-2.0, -1.5, 0.0, 1.0, 2.0])
@@ -184,7 +184,7 @@ def test_the_mean_by_hand():
 
 
 @given(TIMES, TIMES)
-def test_the_mean_is_the_integral(events, times):
+def test_the_mean_equals_the_integral(events, times):
     """Integrate the held values, summing from one event or time to the next."""
     time = np.unique(np.round(times, 3))
     values = np.cos(np.arange(len(events)))[:, None] ** 2
@@ -196,7 +196,7 @@ def test_the_mean_is_the_integral(events, times):
     np.testing.assert_array_equal(mean[-1:], hold(np.array(events), values, time[-1:]))
 
 
-def test_the_slope_is_the_derivative():
+def test_the_slope_equals_the_derivative():
     rng = np.random.default_rng(3)
     events, time = np.sort(rng.uniform(0, 1, 40)), np.sort(rng.uniform(0, 1, 30))
     values, step = rng.normal(size=(40, 2)), 1e-8

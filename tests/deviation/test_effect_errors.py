@@ -44,7 +44,7 @@ def flown(noise=5e-5):
 
 
 @pytest.mark.slow
-def test_the_timing_of_valves_faster_than_the_poses_is_known():
+def test_the_timing_of_valves_faster_than_the_frame_rate_is_estimated():
     model, trajectory = flown()
     errors = effect_errors(model, trajectory)
     assert errors is not None
@@ -53,7 +53,7 @@ def test_the_timing_of_valves_faster_than_the_poses_is_known():
 
 
 @pytest.mark.slow
-def test_chance_does_not_make_a_craft_stronger():
+def test_noise_does_not_make_a_craft_stronger():
     # Every thruster seems to push sideways a little, in some direction that some motion can use.
     model, trajectory = flown(noise=5e-3)
     errors = effect_errors(model, trajectory)
@@ -83,14 +83,14 @@ def clearest(seed, change, cut=40):
 
 @pytest.mark.parametrize("change", [-0.3, 0.3])
 @pytest.mark.parametrize("cut", [16, 40])
-def test_a_change_is_measured_and_dated(change, cut):
+def test_a_change_and_its_time_are_estimated(change, cut):
     found = [clearest(seed, change, cut) for seed in range(20)]
     assert np.median([abs(one.at - 0.5 * cut) for one in found]) <= 1.0
     errors = [(one.change - change) / one.error for one in found]
     assert abs(np.mean(errors)) < 1.0 and np.std(errors) < 1.6
 
 
-def test_the_clearest_of_all_changes_by_chance_is_not_certain():
+def test_the_largest_of_all_chance_changes_is_not_significant():
     chances = [clearest(seed, 0.0).p_value for seed in range(200)]
     assert min(chances) > 1e-4
     assert clearest(0, 0.3).p_value < 1e-6

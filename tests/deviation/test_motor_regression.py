@@ -13,7 +13,7 @@ from ..apparatus.examples import examples
 
 @examples(30)
 @given(st.integers(0, 10**6))
-def test_integrals_are_exact_for_accelerations_linear_between_samples(seed):
+def test_integrals_are_exact_for_piecewise_linear_accelerations(seed):
     rng = np.random.default_rng(seed)
     duration = rng.uniform(0.003, 0.006, 6)
     values = rng.normal(size=7)
@@ -33,7 +33,7 @@ def test_integrals_are_exact_for_accelerations_linear_between_samples(seed):
     np.testing.assert_allclose(ours, theirs[::-1], atol=1e-11)
 
 
-def test_a_prior_is_a_measurement_of_zero():
+def test_a_prior_acts_as_a_measurement_of_zero():
     rng = np.random.default_rng(0)
     rows, aim, root = rng.normal(size=(2, 9, 4)), rng.normal(size=(2, 9)), rng.normal(size=(4, 4))
     information, score, square = normal_equations(rows, aim)

@@ -31,7 +31,7 @@ def fit():
     return fit_of_flown(0.007, 40.0)
 
 
-def test_every_packet_is_found_within_its_error(flight):
+def test_every_packet_delay_is_estimated_within_its_error(flight):
     """With the true model, only the noise of the cameras remains."""
     known = replace(TRUTH, free=TRUTH.parameters.mask(frozenset({"transport_delay"})))
     found = packet_delays(flight.trajectory, known)
@@ -73,7 +73,7 @@ def test_a_long_recording_needs_little_more_memory_than_a_short_one(flight):
     assert much < 3 * little
 
 
-def test_delays_answer_to_a_model_that_expects_packets_later(flight, fit):
+def test_estimated_delays_decrease_if_the_model_expects_packets_later(flight, fit):
     """If the model's delay is longer by e, each packet's estimated delay is shorter by e."""
     (delays,) = fit.packet_delays
     arrived = retimed(flight.trajectory, delays, fit.model.delay_jitter.standard_deviation_s)
@@ -103,7 +103,7 @@ def test_packets_beyond_the_poses_have_no_derivative(flight, fit):
     np.testing.assert_array_equal(found[:-1], response(packet))
 
 
-def test_jitter_of_a_fit_is_that_of_its_packets(flight, fit):
+def test_the_jitter_of_a_fit_matches_its_packets(flight, fit):
     jitter = fit.model.delay_jitter
     own = flight.delay[fit.packet_delays[0].packet]
     # These packets are a sample; its spread is not an error of the estimate.
@@ -114,19 +114,19 @@ def test_jitter_of_a_fit_is_that_of_its_packets(flight, fit):
     assert fit.model.transport_delay == pytest.approx(mean, abs=2e-3)
 
 
-def test_without_jitter_there_is_none():
+def test_a_flight_without_jitter_has_none():
     found = identify(flown(0.0, 12.0, seed=1).trajectory)
     assert found.model.delay_jitter.standard_deviation_s < 0.7e-3
 
 
-def test_it_is_in_the_model_file_and_in_the_figures(fit, tmp_path):
+def test_jitter_is_in_the_model_file_and_in_the_figures(fit, tmp_path):
     fit.model.save(tmp_path / "model.toml")
     again = read_model(tmp_path / "model.toml").delay_jitter
     assert again == fit.model.delay_jitter
     assert fit.to_json()["delay_jitter"] == again.model_dump()
 
 
-def test_a_delay_that_was_not_learned_has_none(flight):
+def test_a_fixed_delay_has_no_jitter(flight):
     found = identify(flight.trajectory, preparation=Preparation(delay="fixed", faults="keep"))
     assert found.model.delay_jitter is None
     assert found.packet_delays == ()
@@ -134,7 +134,7 @@ def test_a_delay_that_was_not_learned_has_none(flight):
 
 @pytest.mark.study
 @pytest.mark.data
-def test_jitter_of_a_real_flight(experiments):
+def test_the_jitter_of_a_real_flight_matches_another_method(experiments):
     """Median and quartiles of the delays were found by another method: 21, 15.7 and 25.2 ms."""
     trajectory = preprocess(read_recording(experiments / BLUE / BLUE))
     found = identify(trajectory)

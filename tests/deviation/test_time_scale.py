@@ -43,17 +43,17 @@ def watched(period: float, noise: float, push: float, seed: int = 0) -> Trajecto
 
 
 @pytest.mark.parametrize(("noise", "push"), [(1e-4, 0.02), (1e-2, 0.02), (1e-2, 1.0)])
-def test_the_time_is_that_of_fifty_standard_deviations(noise, push):
+def test_the_time_scale_is_when_motion_reaches_fifty_standard_deviations(noise, push):
     expected = np.sqrt(2 * 50 * noise / push)
     found = showing_time([watched(0.02, noise, push)], pushing(push))
     assert found == pytest.approx(min(expected, 3.0), rel=0.1)
 
 
-def test_motion_between_rare_poses_is_no_noise():
+def test_motion_between_sparse_poses_is_not_noise():
     assert showing_time([watched(0.125, 0.0, 1.0)], pushing(1.0)) < 0.05
 
 
-def test_pauses_between_poses_are_no_noise():
+def test_pauses_between_poses_are_not_noise():
     flight = watched(0.02, 1e-4, 0.02)
     kept = np.random.default_rng(1).random(len(flight)) > 0.1
     thinned = replace(
@@ -66,12 +66,12 @@ def test_pauses_between_poses_are_no_noise():
     assert showing_time([thinned], pushing(0.02)) == pytest.approx(whole, rel=0.1)
 
 
-def test_the_noisiest_recording_counts():
+def test_the_noisiest_recording_determines_the_time():
     flights = [watched(0.02, noise, 0.02) for noise in (1e-4, 4e-4)]
     assert showing_time(flights, pushing(0.02)) == showing_time(flights[1:], pushing(0.02))
 
 
-def test_the_smoothing_of_the_papers_craft_does_not_change():
+def test_the_papers_craft_keeps_its_smoothing():
     flight = watched(1 / 240, 7e-5, 3.0)
     assert smoothing_times(*measured_poses(flight), PAPER) == (VELOCITY_TIME, VELOCITY_TIME)
     assert patience(PAPER) == patience(pushing(30.0)) == 1.0
@@ -99,7 +99,7 @@ def test_smoothing_is_near_the_best_for_velocities(noise, push):
     assert of_yaw == VELOCITY_TIME  # which has no noise
 
 
-def test_noise_of_yaw_alone_lengthens_the_smoothing_of_yaw_alone():
+def test_noise_in_yaw_lengthens_only_the_smoothing_of_yaw():
     flight = watched(1 / 120, 2e-5, 3.0)
     noise = 0.015 * np.random.default_rng(1).normal(size=len(flight))
     noisy = replace(flight, state=flight.state + np.outer(noise, np.eye(6)[2]), vehicle=PAPER)
@@ -109,7 +109,7 @@ def test_noise_of_yaw_alone_lengthens_the_smoothing_of_yaw_alone():
     assert not is_slow(replace(flight, vehicle=PAPER))
 
 
-def test_long_smoothing_keeps_cubics_on_uneven_samples():
+def test_long_smoothing_preserves_cubics_on_uneven_samples():
     time = np.cumsum(np.random.default_rng(2).uniform(0.01, 0.02, 300))
     cubic = np.polynomial.Polynomial([1.0, -2.0, 0.5, 0.3])
     values = cubic(time)[:, None]
@@ -118,5 +118,5 @@ def test_long_smoothing_keeps_cubics_on_uneven_samples():
         np.testing.assert_allclose(found(time, values, 0.015, 0.3), expected, rtol=1e-6, atol=1e-6)
 
 
-def test_patience_grows_with_the_time_for_a_centimetre():
+def test_patience_grows_with_the_time_to_move_a_centimetre():
     assert patience(pushing(0.02)) == pytest.approx(1.0 / 0.075)

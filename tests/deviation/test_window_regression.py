@@ -76,7 +76,7 @@ def uncorrelated(windows: int, noise: float):
 
 
 @pytest.mark.parametrize("made", list(islice(uncorrelated(30, 1.5), 3)))
-def test_effects_errors_and_the_f_test_are_those_of_least_squares(made):
+def test_effects_errors_and_f_test_match_least_squares(made):
     flight, forces, pushed = made
     design, slope, (rest,) = textbook(flight, forces, pushed)
     free = len(pushed) - design.shape[1]
@@ -96,7 +96,7 @@ def test_effects_errors_and_the_f_test_are_those_of_least_squares(made):
 
 
 @pytest.mark.parametrize("alike", [0.0, 0.8])
-def test_errors_include_what_slow_disturbances_take_from_the_number_of_windows(alike):
+def test_errors_account_for_slow_disturbances(alike):
     off = []
     for seed in range(40):
         flight, forces, _ = turning(60, 2.0, seed, alike=alike)
@@ -107,7 +107,7 @@ def test_errors_include_what_slow_disturbances_take_from_the_number_of_windows(a
 
 
 @pytest.mark.parametrize("alike", [0.0, 0.8])
-def test_chance_is_rarely_taken_for_an_effect(alike):
+def test_chance_is_rarely_reported_as_an_effect(alike):
     claimed = 0
     for seed in range(50):
         flight, _, _ = turning(60, 2.0, seed, alike=alike)
@@ -116,7 +116,7 @@ def test_chance_is_rarely_taken_for_an_effect(alike):
     assert 1 <= claimed <= 11
 
 
-def test_evidence_beyond_all_floating_point_numbers_is_exact():
+def test_p_values_below_the_floating_point_range_are_exact():
     """With two motors the p-value of F is (1 + 2 F / d) to the power of -d / 2."""
     flight, forces, pushed = next(uncorrelated(2000, 0.5))
     design, _, (rest,) = textbook(flight, forces, pushed)
@@ -129,7 +129,7 @@ def test_evidence_beyond_all_floating_point_numbers_is_exact():
     assert found.p_value == 0.0
 
 
-def test_windows_are_as_short_as_forces_that_change_quickly_need():
+def test_fast_forces_shorten_the_windows():
     random, period = np.random.default_rng(0), 0.01
     forces = np.repeat(random.normal(size=(400, 2)), 10, axis=0)
     spin = np.cumsum(forces @ EFFECTS) * period
@@ -141,14 +141,14 @@ def test_windows_are_as_short_as_forces_that_change_quickly_need():
 
 
 @pytest.mark.parametrize(("likeness", "independent"), [(0.95, True), (0.99, False)])
-def test_motors_that_are_always_driven_alike_are_not_told_apart(likeness, independent):
+def test_motors_always_driven_alike_are_not_distinguished(likeness, independent):
     """Of the square of either thrust, 10 % or 2 % remain beside the other."""
     flight, forces, _ = turning(400, 0.1, seed=0)
     forces[1] = likeness * forces[0] + np.sqrt(1 - likeness**2) * forces[1]
     assert (regressed(flight, forces).independent == independent).all()
 
 
-def test_a_flight_as_long_as_recommended_shows_the_effects_nine_times_in_ten():
+def test_a_flight_of_the_recommended_length_reveals_most_effects():
     windows, noise = 24, 10.0
     stated = np.vstack([np.zeros((2, 2)), EFFECTS])
     longer = [regressed(*turning(windows, noise, seed)[:2], stated).longer for seed in range(20)]

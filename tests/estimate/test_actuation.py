@@ -43,7 +43,7 @@ def flight():
     return fly(MODEL, duration=5.0)
 
 
-def test_a_healthy_craft_is_found_healthy(flight):
+def test_a_healthy_craft_is_reported_as_healthy(flight):
     past = past_of(flight)
     found = EXACT.estimate(MODEL.dynamics, past)
     # Motors whose command had changed just before a window make the estimates of others uncertain.
@@ -71,14 +71,14 @@ def test_a_weak_motor_is_named(motor):
     assert np.median(found.probability[2, told]) > 0.9
 
 
-def test_a_loss_of_all_motors_is_distinguished_from_that_of_one():
+def test_losing_all_motors_is_distinguished_from_losing_one():
     past = past_of(fly(scaled(MODEL, [0.5] * 6), duration=5.0))
     found = EXACT.estimate(MODEL.dynamics, past)
     assert np.median(found.probability[1]) > 0.9
     np.testing.assert_allclose(np.median(found.effectiveness, axis=1), 0.5, atol=0.05)
 
 
-def test_predictions_of_a_craft_that_lost_thrust_are_far_better():
+def test_predictions_improve_for_a_craft_that_lost_thrust():
     flight = fly(scaled(MODEL, [0.6] * 6), duration=6.0)
     paper, actuation = (
         evaluate(MODEL, flight, encoder=e, protocol=PROTOCOLS["paper-long"]).rmse
@@ -90,7 +90,7 @@ def test_predictions_of_a_craft_that_lost_thrust_are_far_better():
 @pytest.mark.parametrize("lost", [[], [3, 7], [0, 11]])
 @pytest.mark.parametrize("velocity", ["smoothed", "causal"])
 @pytest.mark.parametrize("disturbance", [(0.086, 2.1), (1e-3, 1e-2)])
-def test_the_regression_is_gaussian_conditioning(flight, velocity, disturbance, lost):
+def test_the_regression_equals_gaussian_conditioning(flight, velocity, disturbance, lost):
     """Against the joint normal distribution of everything, its dense covariance written down."""
     prior = EffectivenessPrior(1.0, 0.2, 0.1)
     encoder = ActuationEncoder(velocity=velocity, disturbance=disturbance, priors=(prior,))
@@ -141,7 +141,7 @@ def test_the_regression_is_gaussian_conditioning(flight, velocity, disturbance, 
     np.testing.assert_allclose(moved, mean[:6], atol=2e-4)
 
 
-def test_the_position_at_a_lost_frame_counts_nowhere(flight):
+def test_the_position_at_a_lost_frame_is_ignored(flight):
     lost = flight.time[np.random.default_rng(1).random(len(flight)) < 0.1]
     windows = make_windows(replace(flight, lost=lost), 40, 50, 35)
     past, moved = windows.past(), windows.past()
@@ -153,7 +153,7 @@ def test_the_position_at_a_lost_frame_counts_nowhere(flight):
     np.testing.assert_allclose(after.state, before.state, atol=1e-9)
 
 
-def test_priors_compete_by_their_evidence(flight):
+def test_priors_are_weighted_by_their_evidence(flight):
     """With normal noise and no tempering, the weights follow Bayes' rule."""
     priors = (EffectivenessPrior(0.7, 0.05, 0.05), EffectivenessPrior(0.3, 0.3, 0.2))
     whole = past_of(flight, 12, 300)
@@ -219,7 +219,7 @@ def contrast_density(encoder, past, prior):
     return multivariate_normal.logpdf(free @ np.array(y), cov=free @ cover @ free.T)
 
 
-def test_nothing_after_the_present_is_used(flight):
+def test_no_future_data_are_used(flight):
     windows = make_windows(flight, 20, 50, 70)
     rng = np.random.default_rng(0)
     for k in (3, 7):
@@ -238,7 +238,7 @@ def test_nothing_after_the_present_is_used(flight):
         np.testing.assert_array_equal(states[0].effectiveness, states[1].effectiveness)
 
 
-def test_windows_do_not_know_of_each_other(flight):
+def test_windows_are_estimated_independently(flight):
     past = past_of(flight, 20, 70)
     encoder = ActuationEncoder()
     whole = encoder.estimate(MODEL.dynamics, past)
@@ -249,7 +249,7 @@ def test_windows_do_not_know_of_each_other(flight):
     np.testing.assert_allclose(whole.effectiveness[:, 2:3], one.effectiveness, atol=1e-6)
 
 
-def test_the_motors_parts_add_up_to_the_acceleration_with_any_effects(flight):
+def test_the_effects_of_all_motors_sum_to_the_acceleration(flight):
     effects = (
         Inflow.of(Layout(MODEL.vehicle), 0.1),
         PairInteraction.of(Layout(MODEL.vehicle), 2.0),
@@ -264,7 +264,7 @@ def test_the_motors_parts_add_up_to_the_acceleration_with_any_effects(flight):
         np.testing.assert_allclose(by_motor[k].sum(axis=1) + rest[k], whole, atol=1e-12)
 
 
-def test_the_paper_s_encoder_may_not_judge_causally(flight):
+def test_the_papers_encoder_is_rejected_by_the_causal_protocol(flight):
     with pytest.raises(InputError, match="looks ahead"):
         evaluate(MODEL, flight, protocol=PROTOCOLS["causal"])
     with pytest.raises(InputError, match="must be 'paper' or 'actuation'"):
@@ -291,7 +291,7 @@ def real(experiments):
 @pytest.mark.slow
 @pytest.mark.data
 @pytest.mark.parametrize("protocol", REACHED)
-def test_prediction_on_the_paper_s_windows(protocol, real):
+def test_predictions_on_the_papers_windows_are_accurate(protocol, real):
     model, validation = real
     evaluation = evaluate(model, validation, protocol=PROTOCOLS[protocol], encoder="actuation")
     assert len(evaluation.start) == 334

@@ -58,7 +58,7 @@ def flown(ours, share, duration, seed=0):
     return flight, found
 
 
-def test_where_nothing_can_be_wrong_with_the_motors_it_is_the_kalman_filter():
+def test_with_certain_motors_it_equals_the_kalman_filter():
     sure = ActuationEncoder(priors=(EffectivenessPrior(1.0, 0.0, 1e-9, "healthy"),))
     one = ActuationFilter(MODEL, NOISE, encoder=sure, delay_deviation=0.0, compiled=False)
     other = KalmanFilter(MODEL, NOISE, compiled=False)
@@ -86,7 +86,7 @@ def test_where_nothing_can_be_wrong_with_the_motors_it_is_the_kalman_filter():
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_the_recursion_is_the_encoders_regression(monkeypatch, seed):
+def test_the_recursion_equals_the_encoders_regression(monkeypatch, seed):
     # One prior, no disturbance, motor speeds known: both are the same linear Gaussian problem.
     monkeypatch.setattr(actuation, "_FIRST_SPEED", 0.0)
     share = [1.0, 0.6, 1.0, 1.1, 0.9, 1.0]
@@ -123,7 +123,7 @@ def test_the_recursion_is_the_encoders_regression(monkeypatch, seed):
 
 
 @pytest.mark.parametrize("motor", [0, 3, 5])
-def test_a_motor_at_60_percent_is_found_at_60_percent(ours, motor):
+def test_a_motor_at_60_percent_is_estimated_at_60_percent(ours, motor):
     share = np.ones(6)
     share[motor] = 0.6
     _, found = flown(ours, share, 3.0, seed=motor)
@@ -134,7 +134,7 @@ def test_a_motor_at_60_percent_is_found_at_60_percent(ours, motor):
     assert np.abs(off).max() < 3.5
 
 
-def test_deviations_say_how_far_off_it_is(ours):
+def test_deviations_match_the_actual_errors(ours):
     # Over many instants of flights with any losses: 95 % within two of them, or more.
     random, off = np.random.default_rng(3), []
     for seed in range(3):
@@ -148,7 +148,7 @@ def test_deviations_say_how_far_off_it_is(ours):
     assert np.sqrt(np.mean(np.square(off))) < 1.5
 
 
-def test_a_motor_that_dies_in_flight_is_found_at_once_and_one_that_comes_back_too(ours):
+def test_a_motor_that_dies_or_recovers_in_flight_is_detected_immediately(ours):
     healthy, dead = np.ones(6), np.array([1, 1, 0.0, 1, 1, 1])
     time = 0.0
     for share, right in ((healthy, 1.0), (dead, 0.0), (healthy, 1.0)):
@@ -164,7 +164,7 @@ def test_a_motor_that_dies_in_flight_is_found_at_once_and_one_that_comes_back_to
         assert found.effectiveness[2] == pytest.approx(right, abs=0.2)
 
 
-def test_idling_motors_say_nothing_and_are_thought_healthy(ours):
+def test_idling_motors_return_to_the_healthy_prior(ours):
     rng = np.random.default_rng(0)
     _, found = flown(ours, [1, 1, 0.0, 1, 1, 1], 2.0)
     assert found[-1].effectiveness[2] < 0.2
@@ -195,7 +195,7 @@ def test_a_rail_is_not_blamed_on_motors(ours):
     np.testing.assert_allclose(ours.predict(1.5).effectiveness, 1, atol=0.2)
 
 
-def test_the_delay_is_first_known_by_its_prior():
+def test_the_delay_starts_at_its_prior():
     before = ActuationFilter(MODEL, NOISE, delay_deviation=0.002, compiled=False)
     before.command(0.0, np.full(6, 0.3))
     before.pose(0.0, np.zeros(3))
@@ -213,7 +213,7 @@ def test_longer_delays_are_estimated(ours):
     assert told.delay_deviation < 0.002
 
 
-def test_commands_are_for_the_thrust_that_motors_give():
+def test_commands_account_for_the_thrust_that_motors_give():
     # A feasible request is met if the weak motor is known, and missed otherwise.
     share = np.array([1, 0.6, 1, 1, 0.8, 1.1])
     controller = TrackingController(MODEL, SetPoint(0.01, 0.01, 0.05), compiled=False)
@@ -236,7 +236,7 @@ def test_commands_are_for_the_thrust_that_motors_give():
     assert missed[1] > 0.1
 
 
-def test_the_tuning_names_the_estimator():
+def test_the_tuning_selects_the_estimator():
     tuning = default_tuning().with_estimator("actuation")
     chosen = TrackingController(MODEL, SetPoint(0, 0, 0), tuning, compiled=False)
     assert isinstance(chosen.filter, ActuationFilter)

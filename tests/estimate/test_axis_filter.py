@@ -55,7 +55,7 @@ def test_covariance_grows_by_van_loans_integral(h, seed):
 
 
 @given(st.integers(0, 2), st.integers(0, 99))
-def test_a_correction_is_the_conditional_gaussian(component, seed):
+def test_a_correction_equals_gaussian_conditioning(component, seed):
     # Information form: precisions add.
     random = np.random.default_rng(seed)
     roots = random.normal(size=(3, 3, 3))
@@ -72,14 +72,14 @@ def test_a_correction_is_the_conditional_gaussian(component, seed):
         np.testing.assert_allclose(after[i], mean[i] + shift, atol=1e-9)
 
 
-def test_a_body_vector_is_turned_by_the_yaw():
+def test_the_yaw_rotates_body_vectors_into_the_world():
     for yaw in (0.0, 0.7, -2.0):
         vector = np.array([0.6, -0.3])
         found = complex(*to_world(vector, yaw))
         assert found == pytest.approx(complex(*vector) * np.exp(1j * yaw))
 
 
-def test_a_belief_begins_at_rest_and_unsure():
+def test_a_new_belief_is_at_rest_and_uncertain():
     pose = np.array([0.3, -0.1, 1.0])
     mean, covariance = AXES.begin(pose, None, 0.0)
     np.testing.assert_array_equal(mean, np.column_stack([pose, np.zeros((3, 2))]))
@@ -91,7 +91,7 @@ def test_a_belief_begins_at_rest_and_unsure():
 
 
 @pytest.mark.parametrize(("effects", "order"), [((), 2), ((Drag(0.3, 0.5, 0.2, 0.1),), 1)])
-def test_the_mean_moves_as_the_equations_of_motion(effects, order):
+def test_the_mean_follows_the_equations_of_motion(effects, order):
     dynamics = replace(DYNAMICS, effects=effects)
     command = np.array([0.5, 0.0, 0.3, 0.6, 0.2, 0.1])
     tau = float(DYNAMICS.motor_time_constant)
@@ -119,7 +119,7 @@ def test_the_mean_moves_as_the_equations_of_motion(effects, order):
         assert 0.75 * 2**order < coarse / fine < 1.25 * 2**order
 
 
-def test_an_exact_mouse_tells_the_velocity():
+def test_an_exact_mouse_determines_the_velocity():
     body = np.array([0.4, 0.1])
     mean, covariance = AXES.use_mouse(belief(), body, 1e-9)
     assert complex(*mean[:2, 1]) == pytest.approx(complex(*body) * np.exp(2j))
@@ -129,7 +129,7 @@ def test_an_exact_mouse_tells_the_velocity():
     np.testing.assert_allclose(AXES.use_mouse(belief(), body, 1e9)[0], MEAN, atol=1e-9)
 
 
-def test_an_exact_inertial_sensor_tells_disturbance_and_spin():
+def test_an_exact_inertial_sensor_determines_disturbance_and_spin():
     felt, gyro = np.array([0.5, -0.2]), 1.2
     motion = MEAN[2, 0], MEAN[0, 1], MEAN[1, 1], MEAN[2, 1]
     modelled = acceleration(np, DYNAMICS, motion, SPEED)
@@ -147,7 +147,7 @@ def test_an_exact_inertial_sensor_tells_disturbance_and_spin():
     np.testing.assert_allclose(mean[2], MEAN[2], atol=1e-9)
 
 
-def test_a_pose_is_used_after_moving_there_by_its_shortest_difference():
+def test_a_pose_is_compared_by_its_shortest_angle_after_predicting_to_it():
     command = np.array([0.5, 0.0, 0.3, 0.6, 0.2, 0.1])
     pieces = np.array([0.004, 0.002]), np.stack([command, SPEED])
     mean, covariance, speed = AXES.advance(np, *belief(), SPEED, *pieces)

@@ -103,7 +103,7 @@ def agrees(estimate: Estimate, book: Textbook) -> None:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_any_data_are_filtered_as_the_textbook_says(seed):
+def test_the_filter_matches_the_textbook_on_any_data(seed):
     random = np.random.default_rng(seed)
     commands = some_commands(0.5, seed)
     ours = KalmanFilter(MODEL, NOISE, compiled=False)
@@ -166,7 +166,7 @@ def test_compiled_and_numpy_agree():
 
 
 @pytest.mark.slow
-def test_on_an_exact_flight_it_finds_state_and_disturbance():
+def test_on_an_exact_flight_state_and_disturbance_are_recovered():
     commands = some_commands(2.5)
     push = np.array([0.15, -0.1, 2.0])
     times = np.arange(0, 2.4, 1 / 240)
@@ -211,7 +211,7 @@ def test_without_disturbance_noise_no_disturbance_is_estimated():
 
 
 @pytest.mark.filterwarnings("ignore:overflow", "ignore:invalid value")
-def test_a_pose_is_too_far_from_an_estimate_that_is_not_a_number():
+def test_a_pose_is_outside_the_gate_of_a_nan_estimate():
     ours = KalmanFilter(MODEL, NOISE, compiled=False)
     ours.pose(0.0, np.zeros(3))
     ours.command(0.0, np.full(MODEL.vehicle.n_propellers, 1e200))

@@ -78,9 +78,7 @@ def test_motors_and_delay_are_learned_together(learning, seed):
 
 
 @pytest.mark.parametrize(("stated", "own"), [(None, 6.3e-3), (3e-3, 3e-3)])
-def test_packets_with_their_own_delays_leave_the_mean_delay_as_uncertain_as_their_number_allows(
-    compiled, stated, own
-):
+def test_the_delay_of_jittering_packets_is_known_to_sigma_over_root_n(compiled, stated, own):
     """Of N packets the mean delay is known to σ/√N, however hard each of them pushes."""
     if stated:
         known = DelayJitter(standard_deviation_s=stated, standard_error_s=1e-4, packets=100)
@@ -105,7 +103,7 @@ def test_packets_with_their_own_delays_leave_the_mean_delay_as_uncertain_as_thei
     assert np.sqrt(np.mean(np.square(scores))) < 1.5
 
 
-def test_what_was_learned_stays_while_nothing_moves_but_becomes_uncertain(learning):
+def test_learned_values_persist_at_rest_but_become_uncertain(learning):
     random = np.random.default_rng(0)
     taught(learning, [0.8, 0.8, 0.5, 0.8, 0.8, 0.8])
     before = learning.predict(5.0).actuation
@@ -119,7 +117,7 @@ def test_what_was_learned_stays_while_nothing_moves_but_becomes_uncertain(learni
     assert (after.deviation > 1.5 * before.deviation).all()
 
 
-def test_a_motor_that_dies_is_found_at_once_and_remembered(learning):
+def test_a_dead_motor_is_detected_immediately_and_remembered(learning):
     time = 0.0
     for share in (np.ones(6), np.array([1, 1, 0.0, 1, 1, 1])):
         flight = random_flight(changed(share), 3.0, 5)
@@ -131,7 +129,7 @@ def test_a_motor_that_dies_is_found_at_once_and_remembered(learning):
     np.testing.assert_allclose(found.effectiveness, share, atol=0.2)
 
 
-def test_motors_are_forgotten_but_not_the_motion_or_the_delay_in_use(learning):
+def test_forgetting_the_motors_keeps_motion_and_delay(learning):
     new = copy(learning)
     new.pose(0.0, np.zeros(3))
     unknown = new.predict(0.0).actuation
@@ -150,7 +148,7 @@ def test_motors_are_forgotten_but_not_the_motion_or_the_delay_in_use(learning):
 
 
 @pytest.mark.parametrize("later", [0.005, 0.015])
-def test_predictions_end_where_the_craft_is_when_a_late_command_acts(learning, later):
+def test_predictions_end_when_a_late_command_takes_effect(learning, later):
     now = 4.0
     flight = taught(learning, np.ones(6), later=later, lasting=now)
     # The commands sent by now act until now + later.
@@ -160,7 +158,7 @@ def test_predictions_end_where_the_craft_is_when_a_late_command_acts(learning, l
     np.testing.assert_allclose(predicted.state[2], true[2], atol=6e-3)
 
 
-def test_changes_that_may_be_none_are_not_used_and_certain_ones_are(learning):
+def test_only_significant_changes_are_used(learning):
     taught(learning, np.ones(6))
     found = learning.predict(5.0)
     assert np.abs(found.actuation.effectiveness - 1).max() > 1e-3
@@ -175,7 +173,7 @@ def test_changes_that_may_be_none_are_not_used_and_certain_ones_are(learning):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
-def test_drag_slope_and_an_offset_of_the_centre_of_mass_are_learned_with_motors(learning, seed):
+def test_drag_slope_and_mass_offset_are_learned_with_the_motors(learning, seed):
     true = np.array([0.25, 2e-3, -1.5e-3, 4e-3, -3e-3])
     true[1:] *= (-1.0, 1.0)[seed % 2]
     body = {"drag": true[0], "offset": true[1:3], "slope": true[3:]}
@@ -188,7 +186,7 @@ def test_drag_slope_and_an_offset_of_the_centre_of_mass_are_learned_with_motors(
 
 
 @pytest.mark.slow
-def test_without_motion_intervals_of_the_body_return_to_the_prior_and_nothing_drifts(learning):
+def test_at_rest_body_intervals_return_to_the_prior_without_drift(learning):
     random = np.random.default_rng(0)
     taught(learning, np.ones(6), lasting=20.0, drag=0.25, offset=(2e-3, 0.0), slope=(4e-3, 0.0))
     before = np.array(list(learning.predict(20.0).actuation.beyond.values()))
@@ -205,7 +203,7 @@ def test_without_motion_intervals_of_the_body_return_to_the_prior_and_nothing_dr
     assert (after[:, 1] < priors).all()
 
 
-def test_without_a_disturbance_there_is_no_slope():
+def test_without_a_disturbance_no_slope_is_estimated():
     still = Noise(QUIET.pose, QUIET.acceleration, (0.0, 0.0, 0.0))
     learning = ActuationFilter(M3, still, learned=30.0, compiled=False)
     learning.pose(0.0, np.zeros(3))
@@ -216,7 +214,7 @@ def test_without_a_disturbance_there_is_no_slope():
     assert found.actuation.beyond["tilt x"] == (0.0, 0.0)
 
 
-def test_the_tuning_names_it():
+def test_the_tuning_selects_the_estimator():
     tuning = default_tuning().with_estimator("learning")
     controller = TrackingController(M3, SetPoints([0.0], [(0, 0, 0)]), tuning, compiled=False)
     assert isinstance(controller.filter, ActuationFilter)

@@ -41,7 +41,7 @@ def belief(count, seed=0):
     return means, covariances, weights / weights.sum(), np.zeros(3)
 
 
-def test_a_measurement_is_conditioning_and_bayes_rule():
+def test_a_measurement_applies_conditioning_and_bayes_rule():
     models = MultipleModels(DYNAMICS, NOISE, states(3))
     means, covariances, weights, density = given = belief(3)
     rng = np.random.default_rng(5)
@@ -63,7 +63,7 @@ def test_a_measurement_is_conditioning_and_bayes_rule():
     np.testing.assert_allclose(posterior, expected / expected.sum(), rtol=1e-4)
 
 
-def test_evidence_is_tempered_and_outliers_count_less():
+def test_evidence_is_tempered_and_outliers_are_downweighted():
     given = belief(3)
     rows, variances = np.eye(SIZE)[:1], np.array([1e-3])
 
@@ -82,7 +82,7 @@ def test_evidence_is_tempered_and_outliers_count_less():
     assert np.ptp(np.log(robust / given[2])) < np.ptp(np.log(far / given[2]))
 
 
-def test_what_is_far_from_all_states_is_a_knock_that_changes_velocities_only():
+def test_an_outlier_of_all_states_is_a_knock_and_changes_only_velocities():
     models = MultipleModels(DYNAMICS, NOISE, states(2))
     means, _, *weights = belief(2)
     means[:, 3] = 0.2
@@ -101,7 +101,7 @@ def test_what_is_far_from_all_states_is_a_knock_that_changes_velocities_only():
             np.testing.assert_allclose(np.diag(less[0])[4:6], [0.25, 25.0], rtol=1e-4)
 
 
-def test_time_mixes_states_and_keeps_the_first_two_moments_of_what_is_known():
+def test_mixing_over_time_preserves_mean_and_covariance():
     models = MultipleModels(DYNAMICS, NOISE, states(3))
     before = belief(3)
     means, covariances, weights, _ = models.renewed(np, before, 1.5)
@@ -121,7 +121,7 @@ def test_time_mixes_states_and_keeps_the_first_two_moments_of_what_is_known():
     np.testing.assert_allclose(covariances[:, 9:, 9:], models.states.covariance, atol=1e-9)
 
 
-def test_a_mouse_and_a_gyro_that_are_exact_tell_velocity_and_spin():
+def test_exact_mouse_and_gyro_determine_velocity_and_spin():
     models = MultipleModels(DYNAMICS, NOISE, states(1))
     known = belief(1)
     yaw = known[0][0, 2]
@@ -139,7 +139,7 @@ def test_a_mouse_and_a_gyro_that_are_exact_tell_velocity_and_spin():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("ratio", [0.5, 1.0, 1.7])
-def test_a_craft_that_learns_finds_the_density_of_unexplained_accelerations(ratio):
+def test_a_learning_craft_estimates_the_density_of_unmodelled_accelerations(ratio):
     """The poses of an idle craft, pushed by white accelerations of a known density."""
     # Five more unknowns: drag, centre of mass and slope.
     priors = np.pad(states(1).covariance, ((0, 0), (0, 5), (0, 5)))
@@ -161,7 +161,7 @@ def test_a_craft_that_learns_finds_the_density_of_unexplained_accelerations(rati
     assert found[-1][0] == found[-1][1]
 
 
-def test_what_is_not_learned_keeps_its_density():
+def test_without_learning_the_density_is_unchanged():
     models = MultipleModels(DYNAMICS, NOISE, states(1))
     known = models.begin(np.zeros(3), None, 0.0)
     pieces = np.zeros(6), np.array([0.01]), np.zeros((1, 6))
@@ -173,7 +173,7 @@ SPEEDS = np.array([0.9, 0.1, 0.4, 0.2, 0.8, 0.3])
 
 
 @pytest.mark.parametrize("share", [1.0, 0.6])
-def test_drag_and_offset_of_mass_accelerate_the_craft_like_those_of_its_model(share):
+def test_learned_drag_and_mass_offset_act_like_modelled_ones(share):
     model = replace(published_model("M3"), frame="body")
     parameters, step = model.parameters, 1e-6
     gyration = model.radius_of_gyration**2
@@ -210,7 +210,7 @@ def test_laws_do_not_use_learned_drag_and_offsets():
     np.testing.assert_allclose(disturbance, [0.05 - 0.4 * 0.5, 0.03, 0.0], atol=1e-9)
 
 
-def test_the_slope_is_the_mean_of_a_disturbance_with_a_flat_spectrum():
+def test_the_slope_is_the_mean_of_a_white_disturbance():
     """Posterior of a constant in white noise of 0.1 m/s²/√Hz, from a prior of 5 mrad."""
     means, _, *rest = belief(1)
     means = np.pad(means, ((0, 0), (0, 5)))

@@ -59,7 +59,7 @@ def test_the_order_of_arrival_does_not_matter(make, seed):
     np.testing.assert_allclose(one.motor_speed, other.motor_speed, atol=1e-12)
 
 
-def test_the_future_changes_nothing_before(make):
+def test_later_data_do_not_change_earlier_estimates(make):
     random = np.random.default_rng(1)
     poses = 0.02 * random.normal(size=(60, 3))
     other = poses.copy()
@@ -84,7 +84,7 @@ def test_the_future_changes_nothing_before(make):
         assert np.array_equal(then, changed) == (k < 30)
 
 
-def test_a_command_acts_after_the_transport_delay_and_not_before(make):
+def test_a_command_acts_exactly_after_the_transport_delay(make):
     assert DELAY > 0
     with_it, without = (make() for _ in range(2))
     command, sent = np.linspace(0.2, 0.9, 6), 0.1
@@ -105,7 +105,7 @@ def test_a_command_acts_after_the_transport_delay_and_not_before(make):
     np.testing.assert_allclose(with_it.predict(end).state[:2], truth[:2], atol=1e-4)
 
 
-def test_a_command_given_early_or_on_time_is_the_same(make):
+def test_a_command_announced_early_acts_the_same(make):
     # Only the time at which it acts matters, not the number of poses in between.
     command = np.linspace(0.2, 0.9, 6)
     one, other = (make() for _ in range(2))
@@ -119,7 +119,7 @@ def test_a_command_given_early_or_on_time_is_the_same(make):
     np.testing.assert_array_equal(one.predict(0.2).state, other.predict(0.2).state)
 
 
-def test_wrapped_and_continuous_yaw_give_the_same(make):
+def test_wrapped_and_continuous_yaw_give_the_same_result(make):
     one, other = (make() for _ in range(2))
     for k in range(200):
         time, yaw = k / 240, 2.5 + 12 * k / 240
@@ -130,7 +130,7 @@ def test_wrapped_and_continuous_yaw_give_the_same(make):
     assert one.predict(199 / 240).state[2] == pytest.approx(2.5 + 12 * 199 / 240, abs=1e-2)
 
 
-def test_a_pose_outside_the_gate_leaves_no_trace(make):
+def test_a_pose_outside_the_gate_has_no_effect(make):
     ours, fresh = (make() for _ in range(2))
     gate = 0.1, 0.1, 1.0
     commands = some_commands(0.3)
@@ -150,7 +150,7 @@ def test_a_pose_outside_the_gate_leaves_no_trace(make):
 
 
 @pytest.mark.parametrize("jump", [[0.3, 0, 0], [0, -0.3, 0], [0, 0, 1.5]])
-def test_a_late_pose_outside_the_gate_leaves_no_trace(make, jump):
+def test_a_late_pose_outside_the_gate_has_no_effect(make, jump):
     ours, fresh = (make() for _ in range(2))
     gate = 0.1, 0.1, 1.0
     for one in (ours, fresh):
@@ -163,7 +163,7 @@ def test_a_late_pose_outside_the_gate_leaves_no_trace(make, jump):
     assert np.abs(ours.predict(0.1).state[:3] - fresh.predict(0.1).state[:3]).max() > 1e-3
 
 
-def test_before_the_first_pose_nothing_is_known(make):
+def test_before_the_first_pose_there_is_no_estimate(make):
     ours = make()
     ours.command(0.0, IDLE)
     ours.imu(0.0, np.zeros(2), 0.0, (0.1, 0.1))
@@ -171,7 +171,7 @@ def test_before_the_first_pose_nothing_is_known(make):
     assert ours.time is None
 
 
-def test_a_restart_keeps_motor_speeds_and_commands_on_their_way(make):
+def test_a_restart_keeps_motor_speeds_and_pending_commands(make):
     ours = make()
     command = np.linspace(0.2, 0.9, 6)
     ours.pose(0.0, np.zeros(3))
@@ -202,7 +202,7 @@ def test_a_reset_forgets_everything(make):
     np.testing.assert_array_equal(used.predict(0.3).state, fresh.predict(0.3).state)
 
 
-def test_what_follows_a_prediction_is_computed_from_it(make):
+def test_a_composed_function_receives_the_prediction(make):
     def energy(xp, state, speed, disturbance, effectiveness, weight):
         moving = xp.sum(weight * state[3:] ** 2)
         return xp.stack([moving, xp.sum(disturbance)]), speed * effectiveness
@@ -224,7 +224,7 @@ def test_what_follows_a_prediction_is_computed_from_it(make):
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-def test_what_is_not_a_number_never_gets_in(make, bad):
+def test_non_finite_measurements_are_ignored(make, bad):
     seen, spared = (TrackingController(MODEL, SetPoint(0, 0, 0), compiled=False) for _ in range(2))
     seen.filter, spared.filter = make(), make()
     for k in range(30):

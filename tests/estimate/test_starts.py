@@ -41,7 +41,7 @@ def flown(motor: int, strength: float, *, turns_up: float, seed: int = 0):
 
 
 @pytest.mark.parametrize("motor", range(6))
-def test_a_motor_that_does_not_turn_is_noticed_within_50_ms_after_its_thrust_was_due(motor):
+def test_a_stalled_start_is_detected_within_50_ms_of_its_due_thrust(motor):
     (found,) = flown(motor, 0.6, turns_up=1.0, seed=motor)
     assert found.motor == motor
     assert found.sent == pytest.approx(SENT)
@@ -50,9 +50,9 @@ def test_a_motor_that_does_not_turn_is_noticed_within_50_ms_after_its_thrust_was
 
 @pytest.mark.parametrize("late", [0.0, 0.007, 0.015])
 @pytest.mark.parametrize("motor", range(6))
-def test_a_motor_that_turns_up_is_not_accused_even_if_its_packet_is_late(motor, late):
+def test_a_motor_that_starts_is_not_accused_even_if_its_packet_is_late(motor, late):
     assert flown(motor, 0.6, turns_up=late, seed=motor) == []
 
 
-def test_starts_of_little_thrust_are_passed_over():
+def test_starts_with_little_thrust_are_ignored():
     assert flown(2, 0.15, turns_up=1.0) == []

@@ -28,7 +28,7 @@ def accelerated() -> Trajectory:
 
 
 @pytest.mark.parametrize("error", [1e-3, 4e-3])
-def test_coasting_is_worse_once_it_has_missed_by_more_than_the_model(accelerated, error):
+def test_coasting_is_worse_once_its_error_exceeds_the_models(accelerated, error):
     evaluation = evaluate(read_model("paper:M3"), accelerated)
     known = replace(evaluation, errors=np.zeros_like(evaluation.errors))
     known.errors[:, 0] = error
@@ -39,7 +39,7 @@ def test_coasting_is_worse_once_it_has_missed_by_more_than_the_model(accelerated
     assert found.interval[0] <= found.since <= found.interval[1]
 
 
-def test_a_model_that_is_never_better_says_so(accelerated):
+def test_a_model_that_is_never_better_is_reported_as_such(accelerated):
     evaluation = evaluate(read_model("paper:M3"), accelerated)
     poor = replace(evaluation, errors=np.ones_like(evaluation.errors))
     assert better_from(poor, accelerated).since is None
@@ -52,7 +52,7 @@ def evaluation(errors, start):
     return Evaluation("M3", paper, "paper", nothing, start[:1], 1 / 240, 0, everywhere, 1)
 
 
-def test_only_what_differs_is_called_a_difference():
+def test_only_significant_differences_are_reported():
     errors, start = residuals(3, 60.0, 6)
     base, own = errors[:3], errors[3:]
     # x a fifth smaller, y as large, yaw a fifth larger.
@@ -71,7 +71,7 @@ def test_only_what_differs_is_called_a_difference():
     assert low < written["rmse_ratio"]["x_m"] < high
 
 
-def test_all_pairs_of_equals_show_no_difference():
+def test_equal_models_show_no_difference():
     errors, start = residuals(5, 60.0, 15)
     shared = errors[:3]
     flown = [evaluation(shared + 0.3 * errors[k : k + 3], start) for k in (3, 6, 9, 12)]
@@ -90,7 +90,7 @@ def test_short_recordings_are_not_judged():
     assert model_differences(["A"], [evaluation(errors, start)]) == []
 
 
-def test_an_interval_names_its_near_end_first():
+def test_an_interval_starts_with_its_smaller_end():
     interval = np.array([[0.7, 0.95, 0.5], [1.1, 1.4, 0.6]])
     p_value = np.array([0.5, 0.5, 0.001])
     found = ModelDifference("A", "B", np.array([0.9, 1.2, 0.55]), interval, p_value)

@@ -27,13 +27,13 @@ def estimated(rng, error=0.02, clusters=40):
 
 
 @pytest.mark.slow
-def test_nothing_moves_where_nothing_moved():
+def test_models_of_an_unchanged_craft_show_no_drift():
     rng = np.random.default_rng(3)
     alarms = [drift(estimated(rng), estimated(rng)).verdicts[0] for _ in range(10)]
     assert sum(not line.startswith("nothing moved") for line in alarms) <= 2  # 5 % of 10
 
 
-def test_the_arithmetic_by_hand():
+def test_drift_matches_a_hand_calculation():
     rng = np.random.default_rng(4)
     one, two = estimated(rng), estimated(rng, clusters=20)
     found = pickle.loads(pickle.dumps(drift(one, two)))  # as to workers and back
@@ -44,7 +44,7 @@ def test_the_arithmetic_by_hand():
     assert change.z == pytest.approx((after - before) / joint, rel=1e-6)
 
 
-def test_probabilities_are_those_of_welchs_test():
+def test_probabilities_match_welchs_test():
     """A fit's standard error equals the error of a mean over its blocks."""
     rng = np.random.default_rng(2)
     found = drift(estimated(rng, clusters=12), estimated(rng, clusters=8)).changes
@@ -69,7 +69,7 @@ def test_probabilities_are_those_of_welchs_test():
         (-4.0, "inertia", "I rose by 1 ± 0.2 mm (z = 5.0)"),
     ],
 )
-def test_a_change_is_a_percentage_where_that_means_something(before, parameter, says):
+def test_a_change_is_a_percentage_only_for_positive_quantities(before, parameter, says):
     quantity = MainQuantity("I", "I", "mm", parameter, 0, ".4g", lambda _: before)
     change = Change(quantity, before, before + 1.0, 0.2, 5.0, 0.001)
     assert change.verdict == says
@@ -89,13 +89,13 @@ def test_a_propeller_that_lost_a_tenth_is_named(fits):
 
 
 @pytest.mark.slow
-def test_two_flights_of_one_craft_differ_in_nothing(fits):
+def test_two_flights_of_one_craft_show_no_difference(fits):
     (sentence,) = drift(fits[0], fits[1]).verdicts
     assert sentence.startswith("nothing moved: of 17 quantities")
 
 
 @pytest.mark.slow
-def test_models_without_errors_or_of_other_crafts_are_refused(fits):
+def test_models_without_errors_or_of_different_craft_are_rejected(fits):
     with pytest.raises(InputError, match="known errors"):
         drift(published_model("M3"), fits[0])
 
@@ -132,7 +132,7 @@ def timed(lag: float, delay: float):
 
 
 @pytest.mark.slow
-def test_a_delay_that_took_up_a_held_lag_is_not_accused():
+def test_a_delay_that_absorbed_a_fixed_lag_is_not_reported():
     found = drift(timed(0.0, 0.040), timed(0.030, 0.015))
     change = next(c for c in found.changes if c.quantity.label == "d")
     # By hand: 25 ms, known to √2 · 0.1 ms.
@@ -145,7 +145,7 @@ def test_a_delay_that_took_up_a_held_lag_is_not_accused():
     assert "transport delay" in drift(timed(0.030, 0.040), timed(0.030, 0.015)).verdicts[0]
 
 
-def test_a_curve_that_its_constraint_holds_is_not_accused():
+def test_a_curve_held_by_its_constraint_is_not_reported():
     flat = np.array(TRUTH.parameters.thrust)
     flat[2] = [1e-6, 0.3, 0.3]
     later = replace(TRUTH, parameters=replace(TRUTH.parameters, thrust=flat))
@@ -174,7 +174,7 @@ def of_effect(name: str, at_bound: bool, inertia: float, correlation: float):
 
 @pytest.mark.parametrize("name", ["drag", "inflow", "pair_interaction", "voltage_sag", "idle_lag"])
 @pytest.mark.parametrize("correlation", [-0.9, 0.9, 0.1])
-def test_what_takes_up_an_effect_that_is_at_its_bound_is_not_accused(name, correlation):
+def test_a_quantity_correlated_with_a_bounded_effect_is_not_reported(name, correlation):
     """√(1 − 0.9²): beside a held effect the error of inertia is too small by more than half."""
     held, found = of_effect(name, True, 3e-4, 0.0), of_effect(name, False, 4e-4, correlation)
     for models in ((held, found), (found, held)):

@@ -97,7 +97,7 @@ def squares(errors):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("owner", FAULTS)
-def test_the_owner_of_a_known_fault_gets_what_its_removal_brings(owner):
+def test_the_budget_assigns_a_known_fault_to_its_cause(owner):
     trajectory, model, _ = flight(world(**FAULTS[owner]()))
     budget = error_budget(model, trajectory, find_faults(trajectory, model))
     total = squares(budget.errors)
@@ -112,7 +112,7 @@ def test_the_owner_of_a_known_fault_gets_what_its_removal_brings(owner):
 
 
 @pytest.mark.slow
-def test_shares_add_up_and_the_errors_are_those_of_evaluate():
+def test_shares_sum_to_the_errors_of_evaluate():
     trajectory, wrong = noisy(TRUTH, 6.0), scaled(TRUTH, 0.9)
     for encoder in ("paper", "actuation"):
         budget = error_budget(wrong, trajectory, encoder=encoder)
@@ -123,7 +123,7 @@ def test_shares_add_up_and_the_errors_are_those_of_evaluate():
 
 
 @pytest.mark.slow
-def test_a_sound_flight_has_no_faults():
+def test_a_healthy_flight_has_no_faults():
     trajectory, model, _ = healthy()
     budget = error_budget(model, trajectory)
     assert budget.hindsight.faults == ()

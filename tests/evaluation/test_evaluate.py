@@ -44,13 +44,13 @@ def test_the_baseline_coasts_at_the_speed_of_the_start(flight):
     np.testing.assert_allclose(found.every_start.errors - expected, 0, atol=1e-9)
 
 
-def test_a_shifted_world_shifts_predictions_alike(flight):
+def test_shifting_the_world_shifts_predictions_equally(flight):
     shifted = replace(flight, state=flight.state + np.array([0.1, -0.3, 0, 0, 0, 0]))
     errors = [evaluate(published_model("M3"), f).errors for f in (flight, shifted)]
     np.testing.assert_allclose(errors[0], errors[1], atol=1e-12)
 
 
-def test_a_jump_of_the_measurement_is_an_error_of_the_other_sign(flight):
+def test_a_jump_of_the_measurement_gives_an_error_of_opposite_sign(flight):
     # From 2 s on everything is measured 0.1 m further in x.
     step = np.where(flight.time >= 2.0, 0.1, 0.0)[:, None] * [1, 0, 0, 0, 0, 0]
     jumped = replace(flight, state=flight.state + step)
@@ -81,7 +81,7 @@ def test_windows_do_not_overlap_and_cover_the_flight(flight):
         ([(1.999, 2.001)], [*range(0, 480 - 69, 70), *range(481, 960 - 69, 70)]),
     ],
 )
-def test_excluded_spans_are_left_out_and_counted(flight, spans, first_samples):
+def test_excluded_spans_are_skipped_and_counted(flight, spans, first_samples):
     assert len(flight) == 960
     marked = replace(flight, excluded=tuple(Span(*span, "gap") for span in spans))
     evaluation = evaluate(published_model("M3"), marked)
@@ -91,7 +91,7 @@ def test_excluded_spans_are_left_out_and_counted(flight, spans, first_samples):
     assert evaluation.to_json()["left_out"] == 13 - len(first_samples)
 
 
-def test_figures_are_plain_statistics(flight):
+def test_figures_match_plain_numpy(flight):
     evaluation = evaluate(published_model("M2"), flight)
     error = evaluation.errors[47]
     np.testing.assert_allclose(evaluation.rmse, np.sqrt((error**2).mean(axis=1)))
@@ -103,14 +103,14 @@ def test_figures_are_plain_statistics(flight):
     assert len(document["rmse_over_horizon"]) == 50
 
 
-def test_a_model_of_another_craft_is_refused(flight):
+def test_a_model_of_another_craft_is_rejected(flight):
     with pytest.raises(InputError, match="4 \\(front, left, back, right\\)"):
         evaluate(model_of(four_propellers(), "M3"), flight)
 
 
 @pytest.mark.data
 @pytest.mark.parametrize("name", TABLE_2)
-def test_published_parameters_give_table_2(experiments, name):
+def test_published_parameters_reproduce_table_2(experiments, name):
     from airpuck.recording.torch_archive import read_authors_experiment
 
     validation = read_authors_experiment(experiments / VALIDATION / "data.pt")
@@ -122,7 +122,7 @@ def test_published_parameters_give_table_2(experiments, name):
 
 @pytest.mark.data
 @pytest.mark.parametrize("name", TABLE_2)
-def test_the_packaged_numbers_are_the_authors(data, name):
+def test_the_packaged_numbers_match_the_authors(data, name):
     packaged = published_model(name)
     authors = read_model(data / "models" / "paper" / name / "params.json")
     assert authors.name == name
@@ -130,7 +130,7 @@ def test_the_packaged_numbers_are_the_authors(data, name):
     np.testing.assert_array_equal(packaged.free, authors.free)
 
 
-def test_every_start_holds_those_of_the_protocol(flight):
+def test_every_start_includes_the_starts_of_the_protocol(flight):
     model = published_model("M3")
     evaluation = evaluate(model, flight)
     everywhere = evaluation.every_start
@@ -144,7 +144,7 @@ def test_every_start_holds_those_of_the_protocol(flight):
     assert evaluation.to_json()["every_start"]["interval_95"]["x_m"] is None  # 4 s are too short
 
 
-def test_another_horizon_lengthens_predictions_only_if_it_must():
+def test_a_different_horizon_lengthens_predictions_only_if_needed():
     usual = Protocol()
     near, far = usual.after(0.1), usual.after(1.0)
     assert (near.horizon, near.prediction_time) == (0.1, usual.prediction_time)

@@ -13,7 +13,7 @@ from airpuck.evaluation.innovations import free_run, innovations
 from ..apparatus.noisy_flights import POSE_NOISE, TRUTH, noisy
 
 
-def test_fit_percent_by_hand():
+def test_fit_percent_matches_a_hand_calculation():
     measured = np.array([[0.0], [1.0], [2.0], [3.0]])
     predicted = measured + np.array([[0.5], [-0.5], [0.5], [-0.5]])
     # ‖error‖ = 1, ‖y − mean‖ = √5.
@@ -21,11 +21,11 @@ def test_fit_percent_by_hand():
     np.testing.assert_allclose(fit_percent(np.full((4, 1), 1.5), measured), [0], atol=1e-12)
 
 
-def test_a_fit_worse_than_the_mean_has_no_digits():
+def test_a_fit_worse_than_the_mean_is_shown_as_below_zero():
     assert fit_text(np.array([98.765, 0.04, -20079.5])) == ["98.8", "0.0", "below 0"]
 
 
-def test_the_likelihood_is_that_of_normal_innovations():
+def test_the_likelihood_matches_normal_innovations():
     flight = noisy(duration=2.0)
     found = innovations(TRUTH, flight, Noise(POSE_NOISE, (0.1, 0.1, 1.0), (0.0, 0.0, 0.0)))
     e, s = found.values[found.used], found.deviation[found.used]

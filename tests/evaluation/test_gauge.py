@@ -10,14 +10,14 @@ from airpuck.model.model_file import published_model
 from ..apparatus.models import random_scales
 
 
-def test_scale_of_first_principles_models_is_one():
+def test_first_principles_models_have_scale_one():
     model = published_model("M3")
     np.testing.assert_array_equal(thrust_scale(model), np.ones(6))
     matrix = np.asarray(model.dynamics.configuration)
     np.testing.assert_allclose(model.vehicle.mass_kg * np.hypot(matrix[0], matrix[1]), 1)
 
 
-def test_no_choice_of_scale_changes_what_is_compared():
+def test_rescaling_does_not_change_the_comparison():
     published_m4 = published_model("M4")
     scales = random_scales(6)
     parameters = published_m4.parameters

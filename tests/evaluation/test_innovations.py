@@ -26,7 +26,7 @@ def flight():
     return noisy(duration=6.0, seed=3)
 
 
-def test_pieces_cut_every_interval_where_commands_change():
+def test_intervals_are_split_where_commands_change():
     time = np.array([0.0, 1.0, 2.0, 3.0])
     events = np.array([-0.5, 1.2, 1.7, 2.0, 9.0])
     command = np.arange(5.0)[:, None]
@@ -44,7 +44,7 @@ def test_motors_follow_all_commands_before_the_first_pose():
     np.testing.assert_allclose(speed, 0.8 - 0.6 * np.exp(-0.05 / tau))
 
 
-def test_the_filter_is_the_controllers_with_exact_integration(flight):
+def test_the_filter_matches_the_controllers_with_exact_integration(flight):
     # The real-time filter integrates by the midpoint rule and knows the pose's noise beforehand.
     noise = Noise(POSE_NOISE, (0.05, 0.05, 1.0), (0.1, 0.1, 3.0))
     found = innovations(TRUTH, flight, noise)
@@ -63,7 +63,7 @@ def test_the_filter_is_the_controllers_with_exact_integration(flight):
     assert (np.abs(ours - np.array(speeds)[late]) < 0.5 * scale).all()
 
 
-def test_an_innovation_deviates_by_the_prediction_and_the_noise_of_the_pose(flight):
+def test_innovation_deviations_combine_prediction_and_pose_noise(flight):
     noise = Noise(POSE_NOISE, (0.05, 0.05, 1.0), (0.0, 0.0, 0.0))
     found, step = innovations(TRUTH, flight, noise), np.diff(flight.time)[:, None]
     place, both, speed = np.moveaxis(found.covariance[:-1, :, [0, 0, 1], [0, 1, 1]], 2, 0)
@@ -73,7 +73,7 @@ def test_an_innovation_deviates_by_the_prediction_and_the_noise_of_the_pose(flig
     np.testing.assert_allclose(found.deviation[1:][inside] ** 2, expected[inside], rtol=1e-6)
 
 
-def test_the_likelihood_finds_the_noise_that_was_added(flight):
+def test_maximum_likelihood_recovers_the_added_noise(flight):
     found = innovations(TRUTH, flight)
     np.testing.assert_allclose(found.noise.pose, POSE_NOISE, rtol=0.06)
     # The model is true: nothing else moves the craft.
@@ -83,7 +83,7 @@ def test_the_likelihood_finds_the_noise_that_was_added(flight):
     np.testing.assert_allclose(scaled.std(axis=0), 1, atol=0.05)
 
 
-def test_the_likelihood_finds_densities():
+def test_maximum_likelihood_recovers_the_noise_densities():
     # A body that only noise moves, with different densities on each axis.
     rng, n, h = np.random.default_rng(5), 6000, 1 / 240
     density, pose_noise = np.array([0.05, 0.2, 2.0]), np.array(POSE_NOISE)
@@ -101,7 +101,7 @@ def test_the_likelihood_finds_densities():
     assert min(counts) >= 2
 
 
-def test_nothing_is_predicted_across_a_span_that_is_left_out(flight):
+def test_no_prediction_spans_an_excluded_span(flight):
     spoiled = flight.state.copy()
     bad = slice(600, 640)
     spoiled[bad, :3] += 1.0
@@ -112,7 +112,7 @@ def test_nothing_is_predicted_across_a_span_that_is_left_out(flight):
     assert np.abs(found.standardised).max() < 6
 
 
-def test_a_simulation_of_the_truth_stays_near_it(flight):
+def test_a_simulation_of_the_truth_stays_close(flight):
     found = innovations(TRUTH, flight)
     starts = np.array([100, 700])
     simulated = free_run(TRUTH, flight, found, starts)
@@ -123,7 +123,7 @@ def test_a_simulation_of_the_truth_stays_near_it(flight):
     assert (error[600] < 6 * np.array(POSE_NOISE)).all()
 
 
-def test_too_few_poses_are_refused(flight):
+def test_too_few_poses_are_rejected(flight):
     with pytest.raises(InputError, match="one-step"):
         innovations(TRUTH, flight.slice(0, 0.02))
     other = replace(flight, propellers=("a",), command=flight.command[:, :1])
@@ -132,7 +132,7 @@ def test_too_few_poses_are_refused(flight):
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_starts_are_the_earliest_that_keep_their_distance(seed):
+def test_starts_are_the_earliest_with_the_required_spacing(seed):
     rng = np.random.default_rng(seed)
     n, period, ahead, apart = 400, 0.05, int(rng.integers(1, 12)), int(rng.integers(1, 25))
     used = np.ones(n, bool)

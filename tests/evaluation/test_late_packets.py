@@ -32,7 +32,7 @@ def nothing(flight):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("jitter", [0.0, JITTER])
-def test_jitter_is_found(jitter):
+def test_jitter_is_estimated(jitter):
     flight = late_flight(0, jitter)
     late = late_packets(TRUTH, flight, innovations(TRUTH, flight), nothing(flight))
     # Delays of packets that wait for each other scatter less than the radio's.
@@ -40,7 +40,7 @@ def test_jitter_is_found(jitter):
 
 
 @pytest.mark.slow
-def test_late_packets_are_no_reason_to_reject_the_truth():
+def test_late_packets_do_not_reject_the_true_model():
     tests = resid(MODEL, late_flight(0))
     assert tests.passed, tests.verdicts
     delay = tests.errors[0]
@@ -48,13 +48,13 @@ def test_late_packets_are_no_reason_to_reject_the_truth():
 
 
 @pytest.mark.slow
-def test_a_delay_is_told_from_jitter():
+def test_a_delay_is_distinguished_from_jitter():
     tests = resid(MODEL, late_flight(1, later=0.012))
     assert [error.name for error in tests.errors if not error.passed] == ["delay"]
     assert tests.errors[0].value == pytest.approx(0.012, abs=0.003)
 
 
-def test_the_filter_and_its_directions_share_the_motors_of_a_model_with_idle_lag():
+def test_filter_and_directions_share_the_motors_of_a_model_with_idle_lag():
     """Otherwise a difference of 1 ms would contain the whole effect of the longer lag."""
     parameters = replace(TRUTH.parameters, idle_lag=2.0)
     model = replace(TRUTH, parameters=parameters, free=np.zeros(len(parameters.to_vector()), bool))
@@ -64,7 +64,7 @@ def test_the_filter_and_its_directions_share_the_motors_of_a_model_with_idle_lag
     np.testing.assert_allclose(speeds, innovations(model, flight).motor_speed, atol=1e-9)
 
 
-def test_directions_are_differences_of_filtered_innovations():
+def test_directions_equal_differences_of_filtered_innovations():
     """The linear response to a stronger motor, against the innovations of a model with it."""
     flight, step = noisy(duration=4.0, seed=3), 1e-3
     before = innovations(TRUTH, flight)

@@ -26,7 +26,7 @@ def found(truth, **given):
     return model_errors(MOTORS, innovations(truth, **given), np.ones(SAMPLES, dtype=bool), PERIOD)
 
 
-def test_all_errors_are_estimated_together():
+def test_all_errors_are_estimated_jointly():
     truth = np.array([0.012, -0.008, -0.2, 0.0, 0.1, 0.02, -0.1])
     errors = found(truth)
     assert [error.name for error in errors] == ["delay", "lag", *MOTORS, "mass"]
@@ -41,7 +41,7 @@ def test_all_errors_are_estimated_together():
     assert "is shown of b, d" in said
 
 
-def test_healthy_crafts_are_not_accused():
+def test_healthy_craft_are_not_accused():
     accused = 0
     for seed in range(100):
         errors = found(np.zeros(7), excited=0.4, seed=seed)
@@ -50,7 +50,7 @@ def test_healthy_crafts_are_not_accused():
     assert accused == 0
 
 
-def test_what_commands_do_not_tell_is_not_tested():
+def test_motors_that_commands_do_not_reveal_are_not_tested():
     truth = np.array([0.0, 0.0, -0.3, 0.0, 0.0, 0.0, 0.0])
     weakly = found(truth, excited=0.05)
     assert not any(error.tested for error in weakly[2:])
@@ -62,7 +62,7 @@ def test_what_commands_do_not_tell_is_not_tested():
     assert alike["c"].tested and alike["d"].tested
 
 
-def test_motors_that_are_all_wrong_alike_are_one_finding():
+def test_an_error_shared_by_all_motors_is_one_finding():
     truth = np.array([0.0, 0.0, -0.15, -0.15, -0.15, -0.15, 0.0])
     (line,) = [line for line in verdicts(found(truth)) if line.startswith("all motors give less")]
     assert float(line.split("modelled, ")[1].split()[0]) == pytest.approx(15, abs=3)

@@ -58,7 +58,7 @@ def cost(axis, pose, added, noise):
     return found
 
 
-def test_no_noise_near_by_is_likelier(flight):
+def test_the_estimated_noise_maximises_the_likelihood(flight):
     pose, added, *_ = flight
     noise, counts = most_likely_noise(*flight, PERIOD)
     np.testing.assert_allclose(noise.pose, POSE, rtol=0.15)
@@ -76,7 +76,7 @@ def test_no_noise_near_by_is_likelier(flight):
                 assert cost(axis, pose, added, other) > best - 0.3
 
 
-def test_a_search_near_the_truth_ends_where_a_search_everywhere_does(flight):
+def test_local_and_global_searches_agree(flight):
     noise, counts = most_likely_noise(*flight, PERIOD)
     again, same = most_likely_noise(*flight, PERIOD, near=noise)
     assert counts == same
@@ -84,7 +84,7 @@ def test_a_search_near_the_truth_ends_where_a_search_everywhere_does(flight):
     np.testing.assert_allclose(again.acceleration, noise.acceleration, rtol=0.1, atol=1e-9)
 
 
-def test_units_do_not_matter(flight):
+def test_the_result_does_not_depend_on_units(flight):
     pose, added, *rest = flight
     scale = np.array([1e3, 1.0, 1e-2])
     noise, counts = most_likely_noise(*flight, PERIOD)
@@ -96,6 +96,6 @@ def test_units_do_not_matter(flight):
     )
 
 
-def test_a_stretch_begins_with_a_speed_that_is_as_good_as_unknown():
+def test_the_initial_speed_is_practically_unknown():
     found = initial_covariance(np, np.array([4.0]), np.array([9.0]), 0.5)
     np.testing.assert_allclose(found[0], np.diag([4.0, 4.0 * (1e3 / 0.5) ** 2, 9.0]))

@@ -25,7 +25,7 @@ def in_deviations(bands):
 
 
 @pytest.mark.study
-def test_bands_hold_what_they_say_on_the_twin():
+def test_bands_have_their_stated_coverage_on_the_twin():
     # Default radio: the model does not include jitter; maximum likelihood finds its effect.
     flight = preprocess(excite(TRUTH, 20.0, seed=3))
     # An uncertainty of other parameters says nothing about the model.
@@ -43,7 +43,7 @@ def test_bands_hold_what_they_say_on_the_twin():
 
 
 @pytest.mark.slow
-def test_bands_of_a_learned_model_hold_another_flight(fits, flights):
+def test_bands_of_a_learned_model_cover_another_flight(fits, flights):
     flight = flights[1].slice(0, 0.7)
     bands = prediction_bands(fits[0], flight, horizon=0.5)
     assert bands.by_parameters is not None
@@ -54,7 +54,7 @@ def test_bands_of_a_learned_model_hold_another_flight(fits, flights):
 
 
 @pytest.mark.slow
-def test_the_band_by_lag_and_delay_is_that_of_models_drawn_from_their_covariance():
+def test_the_band_of_lag_and_delay_matches_sampled_models():
     learned = TRUTH.parameters.mask(frozenset({"motor_time_constant", "transport_delay"}))
     estimate, size = TRUTH.parameters.to_vector(), len(learned)
     # As after a fit: the errors of lag and delay are opposite.
@@ -81,7 +81,7 @@ def test_the_band_by_lag_and_delay_is_that_of_models_drawn_from_their_covariance
 
 
 @pytest.mark.slow
-def test_without_any_error_the_band_is_that_of_the_pose(fits):
+def test_without_model_error_the_band_reduces_to_pose_noise(fits):
     flight = noisy(duration=2.0, seed=5)
     silent = Noise(POSE_NOISE, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     known = innovations(fits[0], flight, silent)
@@ -95,7 +95,7 @@ def test_without_any_error_the_band_is_that_of_the_pose(fits):
 
 
 @pytest.mark.slow
-def test_predictions_do_not_overlap_nor_leave_the_recording(fits):
+def test_predictions_neither_overlap_nor_leave_the_recording(fits):
     flight = noisy(duration=2.0, seed=5)
     known = innovations(fits[0], flight, Noise(POSE_NOISE, (0.1, 0.1, 2.0), (0.0, 0.0, 0.0)))
     bands = prediction_bands(fits[0], flight, known=known)
@@ -144,7 +144,7 @@ def predict(flight, known, entries=()):
 
 
 @pytest.mark.slow
-def test_predictions_and_sensitivities_are_those_of_moved_parameters(flight, filtered):
+def test_sensitivities_match_perturbed_parameters(flight, filtered):
     labels = TRUTH.parameters.labels(TRUTH.vehicle.propeller_names)
     names = ("thrust motor_b_1 φ^2", "inertia", "motor_time_constant", "center_of_mass x")
     entries = sorted(labels.index(name) for name in names)
@@ -165,7 +165,7 @@ def test_predictions_and_sensitivities_are_those_of_moved_parameters(flight, fil
 
 @pytest.mark.slow
 @pytest.mark.parametrize("late", [0.0, 3e-3])
-def test_the_sensitivity_to_the_delay_is_that_of_commands_cut_elsewhere(flight, filtered, late):
+def test_the_sensitivity_to_the_delay_matches_shifted_commands(flight, filtered, late):
     # Without delay the commands of this flight are at samples, where pieces begin and end.
     delay = TRUTH.parameters.mask(frozenset({"transport_delay"}))
     model = replace(TRUTH, free=TRUTH.free | delay).with_delay(TRUTH.transport_delay + late)
@@ -180,7 +180,7 @@ def test_the_sensitivity_to_the_delay_is_that_of_commands_cut_elsewhere(flight, 
 
 
 @pytest.mark.slow
-def test_yaw_spreads_as_double_integrals_of_its_noises(flight, filtered):
+def test_yaw_variance_is_the_double_integral_of_its_noise(flight, filtered):
     # Nothing else turns the craft: r + t² s + q₁t³/3 + (d + q₂ t³/20) t⁴/4 …, by hand.
     _, variance, _ = predict(flight, filtered)
     t = (flight.time[STARTS + STEPS] - flight.time[STARTS])[:, None, None]
@@ -193,7 +193,7 @@ def test_yaw_spreads_as_double_integrals_of_its_noises(flight, filtered):
     np.testing.assert_allclose(variance[-1, 2], expected, rtol=1e-6)
 
 
-def test_what_is_not_known_of_yaw_spreads_to_x_and_y(flight, filtered):
+def test_uncertainty_in_yaw_spreads_to_x_and_y(flight, filtered):
     sigma = 1e-3
     only_yaw = np.zeros_like(filtered.covariance)
     only_yaw[:, 2, 0, 0] = sigma**2
@@ -206,7 +206,7 @@ def test_what_is_not_known_of_yaw_spreads_to_x_and_y(flight, filtered):
     assert (np.sqrt(variance[-1, :2]) > 1e-5).any()
 
 
-def test_another_window_changes_nothing_in_a_prediction(flight, filtered):
+def test_windows_are_predicted_independently(flight, filtered):
     entries, one = np.zeros(len(TRUTH.free), dtype=bool), STARTS[:1]
     entries[:2] = True
     alone = predict_with_errors(TRUTH, flight, filtered, one, STEPS, entries)

@@ -30,7 +30,7 @@ def test_the_bandwidth_and_its_error_follow_from_the_lag(known):
     assert high - low == pytest.approx(4 * bandwidth.standard_error)
 
 
-def test_the_largest_acceleration_is_that_of_the_best_commands():
+def test_the_largest_acceleration_uses_the_best_commands():
     # Motors are independent, so the best corner of the command range is optimal.
     matrix, vehicle = MODEL.dynamics.configuration, MODEL.vehicle
     thrusts = np.array(
@@ -47,7 +47,7 @@ def test_the_largest_acceleration_is_that_of_the_best_commands():
     np.testing.assert_allclose(largest_acceleration(MODEL), np.abs(best))
 
 
-def test_a_model_that_was_changed_after_its_fit_has_no_errors(known):
+def test_a_model_changed_after_its_fit_has_no_errors(known):
     shown = present(known.with_delay(0.03))
     assert shown.notes == ("no standard errors: the parameters were changed after the fit",)
     assert "blocks of time behind the errors" in dict(present(known).conditions)
@@ -55,7 +55,7 @@ def test_a_model_that_was_changed_after_its_fit_has_no_errors(known):
     assert all(np.isnan(value.quantile) for value in (*shown.parameters, *shown.derived))
 
 
-def test_structure_says_what_is_free_and_fixed():
+def test_the_structure_lists_free_and_fixed_parameters():
     shown = present(published_model("M0"))
     lines = "\n".join(shown.structure)
     assert "motors follow at once" in lines
@@ -66,7 +66,7 @@ def test_structure_says_what_is_free_and_fixed():
 
 
 @pytest.mark.parametrize("quantity", [*QUANTITIES[1:]], ids=lambda quantity: quantity.name)
-def test_every_number_is_shown_in_the_unit_that_stands_beside_it(quantity):
+def test_every_number_is_shown_in_its_stated_unit(quantity):
     entries = len(quantity.entries(MODEL.vehicle.propeller_names, 3))
     values = 1e-3 * np.arange(1.0, entries + 1)
     value = values if entries > 1 else values[0]

@@ -18,7 +18,7 @@ from ..apparatus.models import scaled
 from ..apparatus.noisy_flights import TRUTH, noisy
 
 
-def test_ljung_box_by_hand():
+def test_ljung_box_matches_a_hand_calculation():
     values = np.array([1.0, -2.0, 3.0, 0.5, -1.0, 2.0])
     r1 = (-2 - 6 + 1.5 - 0.5 - 2) / 19.25
     r2 = (3 - 1 - 3 + 1) / 19.25
@@ -31,7 +31,7 @@ def test_ljung_box_by_hand():
     assert test.share == pytest.approx((statistic - 1) / 6)
 
 
-def test_only_more_than_the_least_share_is_rejected():
+def test_only_correlation_above_the_threshold_is_rejected():
     # r(1) = a of an autoregressive process explains a² of the variance: half and 4 times the least.
     rng, rejected = np.random.default_rng(4), []
     for share in (0.5 * LEAST_SHARE, 4 * LEAST_SHARE):
@@ -46,7 +46,7 @@ def test_only_more_than_the_least_share_is_rejected():
     assert rejected[0] <= 0.01 and rejected[1] == 1.0
 
 
-def test_beyond_least_is_a_noncentral_test():
+def test_the_threshold_test_is_noncentral():
     # At the least share itself the rejection rate equals the level.
     rng, count, degrees = np.random.default_rng(5), 2000, 6
     statistics = rng.noncentral_chisquare(degrees, LEAST_SHARE * count, size=4000)
@@ -54,7 +54,7 @@ def test_beyond_least_is_a_noncentral_test():
     assert rejected == pytest.approx(0.05, abs=0.015)
 
 
-def test_no_product_reaches_across_a_pause():
+def test_autocorrelation_does_not_span_pauses():
     values = np.array([1.0, 2.0, 7.0, 8.0, 3.0, 4.0])
     used = np.array([True, True, False, False, True, True])
     test = ljung_box("x", values, used, 3, 0)
@@ -62,7 +62,7 @@ def test_no_product_reaches_across_a_pause():
 
 
 @pytest.mark.slow
-def test_rates_of_false_alarms_are_nominal():
+def test_false_alarm_rates_are_nominal():
     # White innovations and a held input: 600 tests of each kind at the 1 % level.
     rng, alarms, beyond, lags = np.random.default_rng(1), np.zeros(2), 0.0, 10
     for _ in range(300):
@@ -77,7 +77,7 @@ def test_rates_of_false_alarms_are_nominal():
     assert 0.004 < beyond / 300 < 0.02
 
 
-def test_a_share_too_small_to_count_is_white_and_says_what_would_count():
+def test_a_negligible_share_is_white_and_states_the_threshold():
     # An AR(1) of 0.05: the past explains 0.05² = 0.25 % of the variance; the threshold is 1 %.
     rng = np.random.default_rng(4)
     values = rng.normal(size=40_001)
@@ -89,7 +89,7 @@ def test_a_share_too_small_to_count_is_white_and_says_what_would_count():
     )
 
 
-def test_bands_know_that_both_signals_are_smooth():
+def test_bands_account_for_the_smoothness_of_both_signals():
     rng, lags, beyond = np.random.default_rng(2), 30, []
     for _ in range(200):
         values = np.convolve(rng.normal(size=1004), np.ones(5), "valid")
@@ -126,7 +126,7 @@ def test_a_motor_that_is_modelled_too_strong_is_named():
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("change", "word"), [(0.01, "large"), (-0.01, "small")])
-def test_a_wrong_lag_is_a_matter_of_timing(change, word):
+def test_a_wrong_lag_is_reported_as_a_timing_error(change, word):
     parameters = TRUTH.parameters
     wrong = replace(parameters, motor_time_constant=parameters.motor_time_constant + change)
     # A model that has learned its delay does not use the recording's.
@@ -142,7 +142,7 @@ def test_a_wrong_lag_is_a_matter_of_timing(change, word):
     assert not tests.to_json()["passed"]
 
 
-def test_holm_by_hand():
+def test_holm_matches_a_hand_calculation():
     np.testing.assert_allclose(holm(np.array([0.01, 0.04, 0.03, 0.005])), [0.03, 0.06, 0.06, 0.02])
     np.testing.assert_allclose(holm(np.array([0.9, 0.8])), [1, 1])
 
@@ -154,7 +154,7 @@ def test_a_motor_that_never_moved_is_not_tested():
     assert [test.motor for test in tests] == ["b"]
 
 
-def test_motors_that_commands_do_not_tell_apart_are_not_accused():
+def test_motors_that_commands_do_not_distinguish_are_not_accused():
     rng, used = np.random.default_rng(3), np.ones(4000, dtype=bool)
     command = np.repeat(rng.uniform(size=(1000, 2)), 4, axis=0)
     values = np.roll(command.sum(axis=1), 1) + rng.normal(size=4000)
@@ -166,7 +166,7 @@ def test_motors_that_commands_do_not_tell_apart_are_not_accused():
 
 
 @pytest.mark.slow
-def test_louder_innovations_where_commands_change_are_no_correlation():
+def test_larger_variance_at_command_changes_is_not_correlation():
     # As with jitter, the variance depends on the command and the mean does not.
     rng, alarms = np.random.default_rng(6), 0
     for _ in range(200):
@@ -178,13 +178,13 @@ def test_louder_innovations_where_commands_change_are_no_correlation():
     assert alarms <= 6  # P(more than 6 at 1 %) = 0.004
 
 
-def test_a_push_by_rounding_is_none(monkeypatch):
+def test_a_push_due_to_rounding_is_zero(monkeypatch):
     # The configuration matrix of propellers that push forward only, at 1e-17 to the left.
     matrix = np.array([[7.0, 7.0], [4e-16, -4e-16], [40.0, -40.0]])
     monkeypatch.setattr(Model, "propeller_effects", matrix)
     assert (_effects(TRUTH) == [[7.0, 7.0], [0.0, 0.0], [40.0, -40.0]]).all()
 
 
-def test_more_lags_than_the_data_bear_are_refused():
+def test_too_many_lags_for_the_data_are_rejected():
     with pytest.raises(InputError, match="lags"):
         resid(TRUTH, noisy(seed=0), lags=200)

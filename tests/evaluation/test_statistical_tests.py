@@ -17,7 +17,7 @@ from airpuck.evaluation.statistical_tests import (
 from ..apparatus.residuals import CORRELATED, SPACING, residuals
 
 
-def test_errors_of_a_regression_hold_with_few_blocks_and_many_coefficients():
+def test_regression_errors_hold_with_few_blocks_and_many_coefficients():
     rng = np.random.default_rng(0)
     samples, blocks, coefficients = 120, 12, 10
     inside = []
@@ -37,7 +37,7 @@ def test_errors_of_a_regression_hold_with_few_blocks_and_many_coefficients():
 # 400 intervals; a third of the trials would fail 95 % ± 1 point, one in 10 000 fails these bounds.
 @pytest.mark.slow
 @pytest.mark.parametrize("duration", [15.0, 40.0, 98.0])
-def test_intervals_hold_the_true_root_mean_square(duration):
+def test_intervals_cover_the_true_root_mean_square(duration):
     held = []
     for seed in range(100):
         errors, start = residuals(seed, duration, 4)
@@ -47,7 +47,7 @@ def test_intervals_hold_the_true_root_mean_square(duration):
 
 
 @pytest.mark.slow
-def test_pairs_are_compared_with_the_stated_false_alarms_and_intervals():
+def test_pairwise_tests_have_their_stated_false_alarms_and_coverage():
     alarms, held, widths = [], [], []
     truth = np.sqrt((1.1**2 + 0.3**2) / (1 + 0.3**2))
     for seed in range(300):
@@ -65,7 +65,7 @@ def test_pairs_are_compared_with_the_stated_false_alarms_and_intervals():
 
 
 @pytest.mark.slow
-def test_the_spread_is_that_of_theory():
+def test_the_spread_matches_theory():
     # Var of the mean square of an AR(1) of variance 1: 2 (1 + a²)/(1 − a²)/W, by Isserlis' theorem.
     spreads = []
     for seed in range(40):
@@ -96,7 +96,7 @@ def test_too_few_seconds_give_no_interval():
     assert np.isnan(interval).all() and np.isnan(p_value).all()
 
 
-def test_redrawn_means_spread_like_means_of_blocks():
+def test_resampled_means_spread_like_block_means():
     rng = np.random.default_rng(0)
     # Blocks of 3 s of one value each: the standard error matches 30 independent values.
     values = np.repeat(rng.normal(size=(1, 30)), 10, axis=1)

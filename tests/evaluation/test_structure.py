@@ -29,20 +29,20 @@ def dragged():
 
 
 @pytest.mark.slow
-def test_a_craft_like_its_model_has_none(of_the_truth):
+def test_a_craft_that_matches_its_model_shows_no_structure(of_the_truth):
     assert len(of_the_truth) == 21
     assert not any(one.shown for one in of_the_truth)
 
 
 @pytest.mark.slow
-def test_bands_hold_the_truth(of_the_truth):
+def test_bands_cover_the_truth(of_the_truth):
     # 126 means whose truth is zero, 99 % bands: more than 6 outside has a probability of 0.1 %.
     outside = sum(np.sum(np.abs(one.mean) > one.half_band) for one in of_the_truth)
     assert outside <= 6
 
 
 @pytest.mark.slow
-def test_spin_drag_is_found_with_its_size(dragged):
+def test_spin_drag_is_detected_with_its_size(dragged):
     found = {(one.regressor, one.channel): one for one in dragged.structure}
     worst = min(dragged.structure, key=lambda one: one.p_value)
     of_spin = found["spin", "yaw"]
@@ -69,7 +69,7 @@ def test_figures_have_units(dragged):
             assert one["passed"] in (True, False)
 
 
-def test_bins_divide_the_speeds_along_the_body_one_sample_before():
+def test_samples_are_binned_by_body_speed_one_sample_earlier():
     flight = noisy(duration=2.0, seed=4)
     found, yaw = innovations(TRUTH, flight), 0.5
     world = np.random.default_rng(0).normal(size=(len(flight), 2))
@@ -89,7 +89,7 @@ def test_bins_divide_the_speeds_along_the_body_one_sample_before():
 
 
 @pytest.mark.parametrize(("share", "counts"), [(0.01, False), (0.5, True)])
-def test_a_small_dependence_is_said_to_be_small(share, counts):
+def test_a_small_dependence_is_reported_as_small(share, counts):
     places, band = np.array([-1.0, 1.0]), np.full(2, 0.1)
     edges = np.array([-2.0, 0.0, 2.0])
     found = Structure("x", "m", "x", edges, places, 0.2 * places, band, 0.2, share, 1e-6)

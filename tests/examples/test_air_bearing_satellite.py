@@ -7,7 +7,7 @@ import pytest
 TABLE = Path(__file__).parents[2] / "examples/air_bearing_satellite/table.py"
 
 
-def test_the_force_on_the_load_cell_is_the_settled_weight_above_the_one_before(tmp_path: Path):
+def test_load_cell_force_is_the_settled_weight_minus_the_weight_before(tmp_path: Path):
     folder = tmp_path / "Thruster_Test/Thruster_Data"
     folder.mkdir(parents=True)
     rows = ["t_s,weight_g,bitmask,pulse_number,phase", "0.0,,0,0,baseline"]

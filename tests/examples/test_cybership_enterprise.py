@@ -37,16 +37,16 @@ def test_north_east_down_becomes_forward_left_up(run):
     np.testing.assert_allclose(last, [1.95, -2.475, -0.29])
 
 
-def test_frames_without_the_ship_are_left_out(run):
+def test_frames_without_the_ship_are_excluded(run):
     assert len(run["pose"].values) == 19
 
 
-def test_drives_that_stand_still_do_not_push(run):
+def test_stopped_drives_do_not_push(run):
     np.testing.assert_allclose(run["command"].values[0], [0, 0, 0, 0, 0.3])
     np.testing.assert_allclose(run["command"].values[5], [0.5, -0.25, 1.0, 0.0, 0.3])
 
 
-def test_a_thruster_at_the_bow_turns_the_ship_clockwise_when_it_pushes_aside():
+def test_a_bow_thruster_that_pushes_sideways_turns_the_ship_clockwise():
     vehicle = airpuck.read_vehicle(OURS / "vehicle.toml")
     effects = airpuck.nominal_model(vehicle).propeller_effects
     bow = vehicle.propeller_names.index("bow")

@@ -34,7 +34,7 @@ def test_an_extension_is_one_short_file(file):
     assert len(lines) <= 25
 
 
-def test_friction_stops_a_coasting_craft_where_newton_says():
+def test_friction_stops_a_coasting_craft_where_newton_predicts():
     rough = example("own_effect/rough_floor.py").RoughFloor(friction_m_s2=0.3)
     dynamics = replace(M3.dynamics, effects=(rough,), thrust=0 * M3.dynamics.thrust)
     start = np.concatenate([[0, 0, 0, 0.6, 0, 0], np.zeros(6)])
@@ -66,7 +66,7 @@ def test_a_fit_learns_the_coefficients_of_a_users_effect():
 
 
 @pytest.mark.slow
-def test_a_users_effect_is_named_wherever_a_model_is(tmp_path):
+def test_a_users_effect_can_be_named_wherever_a_model_can(tmp_path):
     term = f"{EXAMPLES / 'own_effect/cross_drag.py'}:CrossDrag"
     bag, model = tmp_path / "bag", tmp_path / "model.toml"
     airpuck.write_bag(airpuck.excite(cross_drag(0.3, 0.9)[1], 12.0, 1), bag)
@@ -105,7 +105,7 @@ def test_a_users_actuators_fly_excitation_and_set_points(valves, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_users_actuators_are_the_same_in_the_twin_and_in_a_fit(valves):
+def test_a_users_actuators_act_the_same_in_the_twin_and_in_a_fit(valves):
     own, packaged = map(airpuck.read_vehicle, valves)
     model, random = nominal_model(own), np.random.default_rng(0)
     strengths = random.uniform(0.8, 1.2, (8, 1))
@@ -133,7 +133,7 @@ def test_a_users_actuators_are_the_same_in_the_twin_and_in_a_fit(valves):
     assert worst(packaged) > 0.04  # the kind matters
 
 
-def test_an_encoder_is_given_to_evaluate():
+def test_evaluate_accepts_a_users_encoder():
     found = airpuck.evaluate(
         M3, fly(M3, 6.0), encoder=example("own_encoder/last_pose.py").LastPose()
     )
@@ -141,7 +141,7 @@ def test_an_encoder_is_given_to_evaluate():
     assert 0 < found.rmse[0] < 0.05
 
 
-def test_a_log_of_json_lines_becomes_a_trajectory(tmp_path):
+def test_a_log_in_json_lines_becomes_a_trajectory(tmp_path):
     flown = airpuck.excite(M3, 5.0, 1)
     pose, command = flown["pose"], flown["command"]
     rows = [
@@ -157,7 +157,7 @@ def test_a_log_of_json_lines_becomes_a_trajectory(tmp_path):
     assert read.delay == pytest.approx(known.delay, abs=1 / 240)
 
 
-def test_a_report_shows_the_range_of_the_commands(tmp_path):
+def test_a_report_shows_the_command_range(tmp_path):
     flight = fly(M3, 3.0)
     page = example("own_report/command_range.py").report(flight, tmp_path)
     assert page == tmp_path / "index.html"

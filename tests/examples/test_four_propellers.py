@@ -14,7 +14,7 @@ ROOT = Path(__file__).parents[2]
 EXAMPLE = ROOT / "examples" / "four_propellers"
 
 
-def test_from_raw_bags_to_a_report_page(tmp_path: Path):
+def test_raw_bags_become_a_report_page(tmp_path: Path):
     script = EXAMPLE / "run.sh"
     assert len([line for line in script.read_text().splitlines() if line.strip()]) < 15
     paths = [str(Path(sys.executable).parent), os.environ["PATH"]]

@@ -81,7 +81,7 @@ def found():
         return design(MODEL, processes=1)
 
 
-def test_the_best_of_all_combinations_is_found(found):
+def test_the_best_combination_is_found(found):
     assert found.proposal.plan == ExcitationPlan(hold_s=0.4, duration_s=60.0, margin_m=0.05)
     assert found.usual.plan == ExcitationPlan(duration_s=60.0)
     # Errors are inversely proportional to the gain, which all parameters share.
@@ -93,19 +93,19 @@ def test_the_best_of_all_combinations_is_found(found):
 
 
 @pytest.mark.slow
-def test_the_delay_counts_where_the_next_fit_learns_it(trials):
+def test_the_delay_counts_if_the_next_fit_learns_it(trials):
     trials()
     for name, learned in (("M1", False), ("M3", True)):
         found = design(published_model(name), processes=1)
         assert found.model.delay_learned == learned
 
 
-def test_hold_times_between_those_of_the_grid_are_found(trials):
+def test_hold_times_between_grid_points_are_found(trials):
     trials(best=0.32)
     assert design(MODEL, processes=1).proposal.plan.hold_s == pytest.approx(0.32)
 
 
-def test_what_comes_near_to_a_rail_is_not_proposed(trials):
+def test_flights_that_come_near_a_rail_are_not_proposed(trials):
     trials(best=0.6, near=0.3)
     found = design(MODEL, processes=1)
     assert found.proposal.plan.hold_s <= 0.3
@@ -114,7 +114,7 @@ def test_what_comes_near_to_a_rail_is_not_proposed(trials):
     assert all(one.refused == "20 mm from a rail" and np.isinf(one.score) for one in refused)
 
 
-def test_a_rail_that_is_met_at_full_length_only_passes_the_turn_on(monkeypatch):
+def test_if_the_full_flight_hits_a_rail_another_candidate_is_tried(monkeypatch):
     def fly(*given):
         plan = given[3]
         met = plan.duration_s == 60.0 and plan.hold_s > 0.3
@@ -127,7 +127,7 @@ def test_a_rail_that_is_met_at_full_length_only_passes_the_turn_on(monkeypatch):
     assert met.refused == "meets a rail"
 
 
-def test_the_usual_excitation_is_proposed_where_no_other_keeps_away(monkeypatch):
+def test_the_default_excitation_is_proposed_if_no_other_is_clear_of_rails(monkeypatch):
     def fly(*given):
         one, usual = made_up()(*given), given[3] == ExcitationPlan(duration_s=given[3].duration_s)
         return one if usual else one._replace(clearance=0.02)
@@ -139,14 +139,14 @@ def test_the_usual_excitation_is_proposed_where_no_other_keeps_away(monkeypatch)
 
 
 @pytest.mark.parametrize("wall", [0.02, 0.0])
-def test_where_nothing_keeps_away_nothing_is_proposed(trials, wall):
+def test_nothing_is_proposed_if_every_flight_hits_a_rail(trials, wall):
     trials(near=0.0, wall=wall)
     with pytest.raises(InputError) as caught:
         design(MODEL, processes=1)
     assert caught.value.field in ("margin", "table")
 
 
-def test_what_is_known_stands_beside_and_counts(trials, found):
+def test_prior_knowledge_is_shown_and_counts(trials, found):
     trials()
     known = Forecast(MODEL, [information(1.0)]).of(information(1.0), 60.0)
     after = design(replace(MODEL, uncertainty=known), processes=1)
@@ -157,7 +157,7 @@ def test_what_is_known_stands_beside_and_counts(trials, found):
 
 
 @pytest.mark.slow
-def test_the_loss_of_the_fit_says_how_large_real_residuals_are(trials, found):
+def test_the_loss_of_the_fit_scales_the_predicted_errors(trials, found):
     trials()
     fitted = replace(MODEL, fit={"loss": 4e-6})
     large = design(fitted, processes=1)
@@ -168,7 +168,7 @@ def test_the_loss_of_the_fit_says_how_large_real_residuals_are(trials, found):
 
 
 @pytest.mark.slow
-def test_a_fit_with_a_fixed_delay_is_compared_with_flights_prepared_like_it(monkeypatch):
+def test_a_fit_with_a_fixed_delay_is_compared_with_matching_flights(monkeypatch):
     def fly(model, *_):
         # Residuals of late packets that are not searched for.
         loss = 1e-6 if model.delay_learned else 5e-6
@@ -180,7 +180,7 @@ def test_a_fit_with_a_fixed_delay_is_compared_with_flights_prepared_like_it(monk
         assert found.residual_level == pytest.approx(10.0 if model.delay_learned else 2.0)
 
 
-def test_flights_prepared_like_the_fit_that_all_met_a_rail_say_nothing_of_its_residuals(
+def test_flights_that_all_hit_a_rail_do_not_determine_the_residual_level(
     monkeypatch,
 ):
     def fly(model, *given):
@@ -190,7 +190,7 @@ def test_flights_prepared_like_the_fit_that_all_met_a_rail_say_nothing_of_its_re
     assert design(replace(PUBLISHED, fit={"loss": 1e-5}), processes=1).residual_level == 1.0
 
 
-def test_a_delay_that_was_fixed_is_not_known(trials):
+def test_a_fixed_delay_is_not_prior_knowledge(trials):
     trials()
     known = Forecast(PUBLISHED, [information(1.0)]).of(information(1.0), 60.0)
     found = design(replace(PUBLISHED, uncertainty=known), processes=1)
@@ -199,7 +199,7 @@ def test_a_delay_that_was_fixed_is_not_known(trials):
     assert "stays undetermined" not in " ".join(summary(found))
 
 
-def test_a_quantity_that_its_bound_holds_is_not_in_the_mean(trials):
+def test_a_quantity_held_at_its_bound_is_not_averaged(trials):
     trials()
     lag = MODEL.parameters.mask(frozenset({"motor_time_constant"}))
     upper = MODEL.parameters.bounds()[1]
@@ -213,7 +213,7 @@ def test_a_quantity_that_its_bound_holds_is_not_in_the_mean(trials):
     console().print(error_table(found))
 
 
-def test_no_two_flights_share_their_seed(monkeypatch):
+def test_no_two_flights_share_a_seed(monkeypatch):
     seeds = []
 
     def fly(*given):
@@ -230,14 +230,14 @@ def test_no_two_flights_share_their_seed(monkeypatch):
     ("field", "value"),
     [("margin", 0.0), ("margin", np.nan), ("duration", 2.0), ("rehearsal", np.inf), ("seed", -1)],
 )
-def test_numbers_out_of_range_are_refused(field, value):
+def test_numbers_out_of_range_are_rejected(field, value):
     with pytest.raises(InputError) as caught:
         airpuck.design(MODEL, **{field: value})
     assert caught.value.field == field
 
 
 @pytest.mark.study
-def test_flights_of_the_twin_give_errors_of_the_size_that_is_predicted(found):
+def test_flights_of_the_twin_have_errors_of_the_predicted_size(found):
     plan = ExcitationPlan(duration_s=8.0)
     *flights, again = (fly_trial(MODEL, SETTINGS, TUNING, plan, seed) for seed in (1, 2, 1))
     assert again.clearance == flights[0].clearance != flights[1].clearance
@@ -269,7 +269,7 @@ def test_the_figure_shows_every_quantity(found):
 
 
 @pytest.mark.slow
-def test_the_command_writes_a_plan_that_excite_takes(found, tmp_path, monkeypatch):
+def test_excite_accepts_the_written_plan(found, tmp_path, monkeypatch):
     monkeypatch.setattr(airpuck, "design", lambda *_, **__: found)
     plan, figures = tmp_path / "plan.toml", tmp_path / "design.json"
     drawn = tmp_path / "design.png"

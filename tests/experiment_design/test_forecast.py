@@ -56,7 +56,7 @@ def errors(forecast, flight, duration):
 
 
 @pytest.mark.slow
-def test_the_information_is_that_of_finite_differences_of_a_plain_rollout(trajectory, information):
+def test_the_information_matches_finite_differences_of_a_plain_rollout(trajectory, information):
     windows = make_windows(trajectory, 40, 50, 7)
     whole = len(windows.time) // 240 * 240
     starts = windows.starts[windows.starts + 90 <= whole]
@@ -75,7 +75,7 @@ def test_the_information_is_that_of_finite_differences_of_a_plain_rollout(trajec
 
 
 @pytest.mark.parametrize("blocks", [None, 4])
-def test_one_flight_gives_the_sandwich_and_few_blocks_its_mean_inflation(blocks):
+def test_one_flight_gives_the_sandwich_and_few_blocks_a_mean_inflation(blocks):
     flight = synthetic(0) if blocks is None else synthetic(9, blocks=blocks)
     found = Forecast(MODEL, [flight]).of(flight, 40.0).covariance
     inside = np.ix_(ENTRIES, ENTRIES)
@@ -89,14 +89,14 @@ def test_one_flight_gives_the_sandwich_and_few_blocks_its_mean_inflation(blocks)
 
 
 @pytest.mark.slow
-def test_twice_the_time_shrinks_errors_by_the_root_of_two(information):
+def test_twice_the_time_reduces_errors_by_root_two(information):
     forecast = Forecast(MODEL, [information, synthetic(1)])
     once, twice = (errors(forecast, information, duration) for duration in (30.0, 60.0))
     assert (once > 0).all()
     np.testing.assert_allclose(once / twice, np.sqrt(2), rtol=1e-6)
 
 
-def test_packets_that_are_a_sample_leave_the_mean_delay_uncertain():
+def test_sampled_packets_leave_the_mean_delay_uncertain():
     """Among determined quantities, only the variance of the delay grows, by its own amount."""
     free = MODEL.free | MODEL.parameters.mask(frozenset({"transport_delay"}))
     model, flight = replace(MODEL, free=free), synthetic(7)
@@ -111,7 +111,7 @@ def test_packets_that_are_a_sample_leave_the_mean_delay_uncertain():
     assert np.abs(added[np.ix_(free, free)] / np.outer(scale, scale)).max() < 1e-9
 
 
-def test_what_is_known_counts_like_another_flight():
+def test_prior_knowledge_counts_like_another_flight():
     flight = synthetic(2)
     before = Forecast(MODEL, [flight]).of(flight, 60.0)
     after = Forecast(replace(MODEL, uncertainty=before), [flight])
@@ -130,7 +130,7 @@ def test_larger_residuals_give_larger_errors():
     np.testing.assert_allclose(four / one, 2.0, rtol=1e-9)
 
 
-def test_what_no_flight_moves_is_undetermined_until_it_is_known():
+def test_a_parameter_that_no_flight_excites_is_undetermined_unless_known():
     def dark(information):
         light = np.ones(len(MODEL.free))
         light[INERTIA] = 0.0
@@ -150,7 +150,7 @@ def test_what_no_flight_moves_is_undetermined_until_it_is_known():
     assert 0 < after.standard_errors[INERTIA] <= before.standard_errors[INERTIA] * (1 + 1e-6)
 
 
-def test_flights_are_joined_by_their_length():
+def test_flights_are_weighted_by_their_length():
     short, long = synthetic(7), replace(synthetic(8), duration=60.0)
     both = joined([short, long])
     np.testing.assert_allclose(both.hessian, 0.25 * short.hessian + 0.75 * long.hessian)
@@ -159,7 +159,7 @@ def test_flights_are_joined_by_their_length():
     assert both.blocks == 2 * 10**9
 
 
-def test_many_blocks_find_what_the_residuals_are_made_of():
+def test_many_blocks_reveal_the_covariance_of_the_residuals():
     # Scores that are twelve times as large in one direction as the information implies.
     rng, size = np.random.default_rng(10), len(ENTRIES)
     stretch = np.where(np.arange(size) == 3, 12.0, 1.0)
@@ -175,7 +175,7 @@ def test_many_blocks_find_what_the_residuals_are_made_of():
 
 
 @pytest.mark.slow
-def test_a_flight_of_one_block_is_refused():
+def test_a_flight_of_one_block_is_rejected():
     with pytest.raises(InputError, match="two blocks"):
         information_of(fly(MODEL, duration=1.5), MODEL, 1.5)
 
@@ -188,7 +188,7 @@ def at(model, name):
     return np.flatnonzero(model.parameters.mask(frozenset({name})))
 
 
-def test_values_and_scales_of_the_published_m3_by_hand():
+def test_published_m3_matches_a_hand_calculation():
     model = published_model("M3")
     compared = ComparedQuantities(model)
     value = dict(zip(compared.labels, compared.values(model), strict=True))
@@ -204,13 +204,13 @@ def test_values_and_scales_of_the_published_m3_by_hand():
     assert len(compared.labels) == 2 * 6 + 5
 
 
-def test_what_is_not_learned_is_not_compared():
+def test_fixed_parameters_are_not_compared():
     labels = ComparedQuantities(published_model("M0")).labels
     assert "τ" not in labels
     assert not any(label.startswith("r ") for label in labels)
 
 
-def test_a_factor_between_thrust_and_matrix_changes_nothing():
+def test_moving_a_factor_between_thrust_and_matrix_changes_nothing():
     model = published_model("M4")
     factor = np.linspace(0.5, 2, 6)
     p = model.parameters
@@ -229,7 +229,7 @@ def test_a_factor_between_thrust_and_matrix_changes_nothing():
     )
 
 
-def test_a_column_that_only_turns_the_craft_has_no_direction_to_compare():
+def test_a_column_that_only_turns_the_craft_has_no_direction_error():
     model, matrix = published_model("M4"), published_model("M4").parameters.configuration_matrix
     turning = matrix.copy()
     turning[:2, 2] = 0.0
@@ -240,7 +240,7 @@ def test_a_column_that_only_turns_the_craft_has_no_direction_to_compare():
     assert np.isfinite(compared.values(replace(model, parameters=parameters))).all()
 
 
-def test_errors_of_sums_by_hand():
+def test_errors_of_sums_match_a_hand_calculation():
     model = published_model("M3")
     rng = np.random.default_rng(0)
     root = rng.normal(size=(len(model.free), len(model.free))) * 1e-4
@@ -256,7 +256,7 @@ def test_errors_of_sums_by_hand():
     assert errors[1] == pytest.approx(expected, rel=1e-6)
 
 
-def test_what_is_not_determined_has_an_infinite_error():
+def test_undetermined_quantities_have_infinite_errors():
     model = published_model("M3")
     covariance, direction = np.eye(len(model.free)) * 1e-8, np.zeros(len(model.free))
     (inertia,) = at(model, "inertia")
@@ -268,7 +268,7 @@ def test_what_is_not_determined_has_an_infinite_error():
     assert np.isinf(compared.relative_errors_of(model)).all()
 
 
-def test_what_has_no_size_to_compare_with_has_no_relative_error():
+def test_a_quantity_without_a_natural_size_has_no_relative_error():
     rung = named_rung("M3+inflow")
     parameters = rung.initial(default_vehicle())
     model = Model(rung.name, default_vehicle(), parameters, rung.mask(parameters))

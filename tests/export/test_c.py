@@ -60,7 +60,7 @@ def exported(tmp_path_factory) -> Path:
 @pytest.mark.parametrize(
     "name", [pytest.param(n, marks=[pytest.mark.study] * (n in ("M1", "M2", "M3"))) for n in MODELS]
 )
-def test_commands_and_states_equal_those_of_python(name, tmp_path):
+def test_commands_and_states_equal_those_in_python(name, tmp_path):
     model = MODELS[name]
     python = TrackingController(model, HOME, compiled=False)
     c = CompiledController(library(model, tmp_path / "c"), model)
@@ -75,7 +75,7 @@ def test_commands_and_states_equal_those_of_python(name, tmp_path):
 
 
 @pytest.mark.parametrize("law", ["lqr", pytest.param("mpc", marks=pytest.mark.slow)])
-def test_the_flight_of_the_export_repeats(law, exported, tmp_path):
+def test_the_self_test_reproduces_the_golden_flight(law, exported, tmp_path):
     if law == "mpc":
         exported = tmp_path
         airpuck.export.write(M4, "c", exported, tuning=predictive())
@@ -112,7 +112,7 @@ def plan() -> Plan:
         pytest.param("mpc", (), 1e-9, marks=pytest.mark.slow),
     ],
 )
-def test_a_planned_flight_repeats(law, options, largest, plan, tmp_path):
+def test_the_self_test_reproduces_a_planned_flight(law, options, largest, plan, tmp_path):
     tuning = default_tuning() if law == "lqr" else predictive()
     airpuck.export.write(M4, "c", tmp_path, tuning=tuning, plan=plan)
     done = selftest(tmp_path, *options)
@@ -120,7 +120,7 @@ def test_a_planned_flight_repeats(law, options, largest, plan, tmp_path):
     assert float(done.stdout.split()[-1]) < largest
 
 
-def test_the_program_departs(plan, tmp_path):
+def test_the_program_departs_on_command(plan, tmp_path):
     airpuck.export.write(M4, "c", tmp_path, plan=plan)
     poses = "".join(f"{k / 100:.2f} -0.2 0.1 0.4\n" for k in range(6))
     given = poses + "depart 0.05\n" + "0.06 -0.2 0.1 0.4\n0.07 -0.2 0.1 0.4\n"
@@ -176,7 +176,7 @@ def single(tmp_path_factory) -> Path:
     return library(M4, tmp_path_factory.mktemp("single") / "c", "-DAIRPUCK_SINGLE")
 
 
-def test_single_precision_decides_alike(single):
+def test_single_precision_makes_the_same_decisions(single):
     c = CompiledController(single, M4)
     found = compare(TrackingController(M4, HOME, compiled=False), c, 300)
     assert found.same > 0.99
@@ -199,7 +199,7 @@ def test_single_precision_finds_the_nearest_acceleration_of_four_propellers(tmp_
 
 
 @pytest.mark.parametrize("fault", ["poses at nearly the same time", "an absurd command"])
-def test_single_precision_recovers_from(fault, single):
+def test_single_precision_recovers_from_extreme_inputs(fault, single):
     c = CompiledController(single, M4)
     c.reference = HOME
     for k in range(400):
@@ -213,7 +213,7 @@ def test_single_precision_recovers_from(fault, single):
     assert np.abs(result.estimate.state).max() < 1e-3
 
 
-def test_the_licences_are_with_the_sources(exported):
+def test_the_licences_accompany_the_sources(exported):
     for source in exported.glob("airpuck*.[ch]"):
         generated = source.name in ("airpuck_sizes.h", "airpuck_data.c")
         assert generated or "SPDX-License-Identifier: BSD-2-Clause" in source.read_text()
@@ -221,7 +221,7 @@ def test_the_licences_are_with_the_sources(exported):
     assert (exported / "LICENSE").read_text() == ours
 
 
-def test_no_memory_is_allocated_and_no_state_is_static(exported, tmp_path):
+def test_nothing_is_allocated_and_no_state_is_static(exported, tmp_path):
     sources = [p for p in exported.glob("airpuck*.c") if "selftest" not in p.name]
     for number, source in enumerate(sources):
         build(tmp_path / f"{number}.o", [source], "-c")
@@ -250,7 +250,7 @@ def test_the_program_reads_poses_and_writes_commands(exported):
 
 
 @pytest.mark.parametrize("wrong", ["1000", "0.5", "inf", "nan"])
-def test_the_program_goes_on_after_a_wrong_stamp(wrong, exported):
+def test_the_program_continues_after_an_invalid_stamp(wrong, exported):
     times = [f"{k / 100:.2f}" for k in range(40)]
     given = "".join(f"{time} 0 0 0\n" for time in [*times[:5], wrong, *times[5:]])
     words = [program(exported, "main.c")]
@@ -262,7 +262,7 @@ def test_the_program_goes_on_after_a_wrong_stamp(wrong, exported):
 
 
 @pytest.mark.parametrize("law", ["lqr", pytest.param("mpc", marks=pytest.mark.slow)])
-def test_without_targets_and_plan_the_motors_idle(law, tmp_path):
+def test_without_target_or_plan_the_motors_idle(law, tmp_path):
     airpuck.export.write(M4, "c", tmp_path, tuning=default_tuning().with_law(law))
     (tmp_path / "none.c").write_text(
         '#include "airpuck.h"\n'
@@ -281,7 +281,7 @@ def test_without_targets_and_plan_the_motors_idle(law, tmp_path):
 
 @pytest.mark.parametrize("using", ["gcc", "clang"])
 @pytest.mark.parametrize("option", ["-ffast-math", "-ffinite-math-only"])
-def test_options_that_remove_checks_of_the_input_are_an_error(option, using, exported, tmp_path):
+def test_compiler_options_that_remove_input_checks_are_an_error(option, using, exported, tmp_path):
     words = [compiler(using), "-std=c99", option, "-c", exported / "airpuck.c"]
     done = subprocess.run([*words, "-o", tmp_path / "a.o"], capture_output=True, text=True)
     assert done.returncode != 0

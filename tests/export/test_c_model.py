@@ -91,7 +91,7 @@ def in_c(program: Path, n: int, count: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize("name", MODELS)
-def test_same_motion_as_in_python(name: str, tmp_path: Path) -> None:
+def test_the_motion_equals_that_in_python(name: str, tmp_path: Path) -> None:
     model, count = MODELS[name], 300
     n = model.vehicle.n_propellers
     expected = in_python(model, count)
@@ -101,7 +101,7 @@ def test_same_motion_as_in_python(name: str, tmp_path: Path) -> None:
             np.testing.assert_allclose(ours, theirs, rtol=tolerance, atol=tolerance)
 
 
-def test_no_undefined_behaviour_for_any_numbers(tmp_path: Path) -> None:
+def test_no_input_causes_undefined_behaviour(tmp_path: Path) -> None:
     """Non-finite states and durations give non-finite results, but no invalid access."""
     program = driver(MODELS["everything"], tmp_path, *SANITIZED)
     in_c(program, 4, 20)
@@ -117,7 +117,7 @@ def test_no_undefined_behaviour_for_any_numbers(tmp_path: Path) -> None:
     run(program, *records)
 
 
-def test_unknown_and_repeated_effects_are_refused_by_name(tmp_path: Path) -> None:
+def test_unknown_and_repeated_effects_are_rejected_by_name(tmp_path: Path) -> None:
     class Magnet(Effect):
         pass
 
@@ -133,7 +133,7 @@ def test_unknown_and_repeated_effects_are_refused_by_name(tmp_path: Path) -> Non
 
 @examples(20)
 @given(st.text("*/\\?\n\0 abc", max_size=300))
-def test_no_name_escapes_the_comment(text: str) -> None:
+def test_names_cannot_end_a_comment(text: str) -> None:
     """A model's source is anyone's text."""
     lines = title(replace(PUBLISHED, source=text))
     inside = lines.removeprefix("/*").removesuffix("*/")
@@ -141,6 +141,6 @@ def test_no_name_escapes_the_comment(text: str) -> None:
     assert all(len(line) < 110 for line in lines.split("\n"))
 
 
-def test_the_sources_name_the_motors_in_the_order_of_commands() -> None:
+def test_the_sources_list_the_motors_in_command_order() -> None:
     told = " ".join(title(PUBLISHED).replace("\n *", "").split())
     assert f"commands: {', '.join(PUBLISHED.vehicle.propeller_names)}." in told

@@ -59,7 +59,7 @@ def test_derivatives_of_casadi_functions_agree_with_jax(model):
 
 
 @pytest.mark.parametrize("model", CRAFT.values(), ids=CRAFT)
-def test_free_parameters_are_an_argument(model):
+def test_free_parameters_become_an_argument(model):
     direct = model.parameters.configuration_matrix is not None
     fixed = {"transport_delay"} | ({"inertia", "angle_offset"} if direct else set())
     if not model.dynamics.motor_time_constant > 0:

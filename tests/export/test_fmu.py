@@ -127,7 +127,7 @@ def commands(n: int, count: int, held: int = 10) -> np.ndarray:
     return np.repeat(random.random((count // held, n)), held, axis=0)
 
 
-def test_description_is_valid(unit: Path) -> None:
+def test_the_model_description_is_valid(unit: Path) -> None:
     assert validate_fmu(str(unit.parent / "airpuck.fmu")) == []
     described = read_model_description(str(unit))
     assert described.fmiVersion == "3.0" and described.coSimulation.canGetAndSetFMUstate
@@ -138,7 +138,7 @@ def test_description_is_valid(unit: Path) -> None:
     assert inputs == [f"command.{name}" for name in MODEL.vehicle.propeller_names]
 
 
-def test_every_function_of_the_standard_is_there(unit: Path) -> None:
+def test_every_function_of_the_standard_is_exported(unit: Path) -> None:
     headers = (HEADERS / "fmi3Functions.h").read_text()
     declared = {
         line.split()[-1].rstrip(";")
@@ -189,12 +189,12 @@ def fly_both(model: Model, twin: TwinSettings, there: Simulation) -> None:
     np.testing.assert_allclose(last, flown.craft.contacts[-1], atol=1e-9, rtol=0)
 
 
-def test_same_flight_as_the_twin(unit: Path) -> None:
+def test_the_flight_equals_the_twins(unit: Path) -> None:
     """With the model's delay and lag."""
     fly_both(MODEL, settings(), Simulation(unit))
 
 
-def test_parameters_do_what_the_twin_s_settings_do(unit: Path) -> None:
+def test_parameters_act_like_the_twins_settings(unit: Path) -> None:
     table = Table(length_m=0.22, width_m=0.19, restitution=0.9, friction=0.5)
     camera, radio = {"rate_hz": 60.0, "latency_s": 0.03}, {"delay_s": 0.0}
     prompt = replace(MODEL, parameters=replace(MODEL.parameters, motor_time_constant=0.0))
@@ -213,7 +213,7 @@ def test_parameters_do_what_the_twin_s_settings_do(unit: Path) -> None:
 
 
 @pytest.mark.slow
-def test_same_flight_with_four_propellers_and_effects(tmp_path: Path) -> None:
+def test_four_propellers_with_effects_fly_as_in_the_twin(tmp_path: Path) -> None:
     """The centre of mass is far enough off that Newton's law of restitution adds energy."""
     model = replace(
         FOUR, parameters=replace(FOUR.parameters, center_of_mass=np.array([0.02, -0.03]))
@@ -224,7 +224,7 @@ def test_same_flight_with_four_propellers_and_effects(tmp_path: Path) -> None:
     fly_both(model, twin, Simulation(exported(tmp_path, model, twin)))
 
 
-def test_motion_does_not_depend_on_the_steps(unit: Path) -> None:
+def test_the_motion_does_not_depend_on_the_step_size(unit: Path) -> None:
     """However often the unit is asked, and also after it went back to a former state."""
     coarse, fine = Simulation(unit), Simulation(unit)
     random = np.random.default_rng(0)
@@ -245,7 +245,7 @@ def test_motion_does_not_depend_on_the_steps(unit: Path) -> None:
     assert list(fine.get("contact.")) == list(coarse.get("contact."))
 
 
-def test_reset_starts_the_same_flight_again(unit: Path) -> None:
+def test_reset_restarts_the_same_flight(unit: Path) -> None:
     noise = {"camera.yaw_noise": 1e-3}
     flight = Simulation(unit, **noise, seed=7)
     poses = []
@@ -262,7 +262,7 @@ def test_reset_starts_the_same_flight_again(unit: Path) -> None:
     assert other.get("pose.")[2] != poses[0][2]
 
 
-def test_noise_is_as_stated(unit: Path) -> None:
+def test_noise_and_losses_are_as_stated(unit: Path) -> None:
     """At rest: the spread of 4800 poses, and how many of them arrive."""
     parameters = {
         "camera.position_noise": 2e-3,
@@ -285,7 +285,7 @@ def test_noise_is_as_stated(unit: Path) -> None:
     assert count[-1] == pytest.approx(0.75 * 4800, rel=0.03)
 
 
-def test_delays_of_commands_are_as_stated(unit: Path) -> None:
+def test_command_delays_are_as_stated(unit: Path) -> None:
     """Arrivals follow from the speed of a motor with a long lag."""
     lag, period, count = 10.0, 0.2, 2000
     parameters = {"radio.delay": 0.03, "radio.jitter": 0.007, "radio.loss": 0.1}
@@ -328,13 +328,15 @@ def test_no_sequence_of_calls_causes_a_crash(unit: Path, tmp_path: Path) -> None
 
 
 @pytest.mark.slow
-def test_clang_compiles_it_without_warnings(unit: Path, tmp_path: Path) -> None:
+def test_clang_compiles_the_sources_without_warnings(unit: Path, tmp_path: Path) -> None:
     sources = [*(unit / "sources").glob("*.c"), ABUSE]
     build(tmp_path / "abuse", sources, f"-I{HEADERS}", using="clang")
 
 
 @pytest.mark.slow
-def test_fmpy_builds_and_simulates_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_fmpy_builds_and_simulates_the_unit(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """With CMake, as fmpy does for any unit; inputs by name."""
     # CMake comes with fmpy.
     monkeypatch.setenv("PATH", f"{Path(sys.executable).parent}:{os.environ['PATH']}")
@@ -367,13 +369,13 @@ def test_fmpy_builds_and_simulates_it(tmp_path: Path, monkeypatch: pytest.Monkey
         ({"motion_capture": {"rate_hz": 1e6}}, "camera.rate"),
     ],
 )
-def test_settings_that_it_cannot_represent(update: dict, named: str, tmp_path: Path) -> None:
+def test_unrepresentable_settings_are_rejected(update: dict, named: str, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=named):
         write(MODEL, "fmu", tmp_path / "out", twin=settings(**update))
     assert not (tmp_path / "out").exists()
 
 
-def test_craft_that_it_cannot_represent(tmp_path: Path) -> None:
+def test_unrepresentable_craft_are_rejected(tmp_path: Path) -> None:
     unprintable = FOUR.vehicle.model_copy(update={"name": "\1<&\"', é"})
     write(replace(FOUR, vehicle=unprintable), "fmu", tmp_path)
     assert validate_fmu(str(tmp_path / "airpuck.fmu")) == []

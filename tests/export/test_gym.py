@@ -24,7 +24,7 @@ from ..apparatus.environments import MODEL, NOISELESS, PERIOD, SETTINGS, actions
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")
 
 
-def test_pictures_show_the_craft_where_it_is():
+def test_pictures_show_the_craft_in_place():
     env: Any = gymnasium.make("airpuck/SetPoint-v0", render_mode="rgb_array").unwrapped
     options = {"start": (0.4, 0.2, 0.0), "goal": (-0.5, 0.0, 0.0)}
     env.reset(seed=1, options=options)
@@ -56,7 +56,7 @@ def test_a_seed_determines_the_episode():
     assert not data_equivalence(flown(env, commands, seed=5), first)
 
 
-def test_a_flight_is_the_twins():
+def test_an_episode_equals_a_flight_of_the_twin():
     # Without jitter the seed of the twin does not matter.
     settings = changed(NOISELESS, radio={"jitter_s": 0.0})
     start, commands = (0.2, -0.1, 1.0), actions(40)
@@ -76,7 +76,7 @@ def test_a_flight_is_the_twins():
         np.testing.assert_allclose(observation["pose_rate"], (pose - last) / (now - before))
 
 
-def test_rows_of_the_vector_environment_are_single_environments():
+def test_each_vector_environment_equals_a_single_one():
     settings, rows, limit = NOISELESS, 3, 0.15
     vector = CourseVectorEnv(rows, twin=settings, limit_s=limit)
     single = [CourseEnv(twin=settings, limit_s=limit) for _ in range(rows)]
@@ -108,7 +108,7 @@ def test_a_seed_determines_the_vector_environment():
     assert not np.array_equal(poses[0], poses[1])
 
 
-def test_the_cameras_clock_shifts_ages_only():
+def test_a_camera_clock_offset_shifts_only_pose_ages():
     early = changed(NOISELESS, motion_capture={"clock_offset_s": -2.0})
     found = [flown(CourseEnv(twin=one), actions(5), seed=0) for one in (NOISELESS, early)]
     for (plain, *_), (shifted, *_) in zip(*found, strict=True):
@@ -133,7 +133,7 @@ def test_actions_beyond_the_range_are_clipped():
     assert data_equivalence(wild, tame, exact=True)
 
 
-def test_wrong_use_is_named():
+def test_misuse_is_reported_by_name():
     with pytest.raises(gymnasium.error.ResetNeeded):
         CourseEnv().step(np.zeros(6))
     for make, field in (
@@ -164,7 +164,7 @@ def test_rewards_add_up_to_the_decrease_of_the_remaining_length_minus_time():
     assert total == pytest.approx(remaining(start) - remaining(last) - 30 * PERIOD, abs=1e-12)
 
 
-def test_a_race_ends_at_the_goal_after_all_points_in_order():
+def test_a_race_ends_at_the_goal_after_passing_all_points_in_order():
     task = CourseTask(MODEL, SETTINGS, "slalom", size=2)
     start, goal, points = COURSES["slalom"]
     for row in range(2):
@@ -194,7 +194,7 @@ def test_the_baseline_reaches_a_goal_from_observations_alone():
     assert observation["time"][0] < 3.0
 
 
-def test_an_export_registers_environments_of_its_craft(tmp_path, monkeypatch):
+def test_an_export_registers_environments_for_its_craft(tmp_path, monkeypatch):
     table = Table(length_m=3.0, width_m=1.5)
     settings = SETTINGS.model_copy(update={"table": table})
     written = write(published_model("M2"), "gym", tmp_path / "my_craft", twin=settings)

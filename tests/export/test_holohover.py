@@ -21,7 +21,7 @@ def written(request, tmp_path):
     return PAPER[request.param], tmp_path
 
 
-def test_params_json_is_read_back_bit_for_bit(written):
+def test_params_json_round_trips_exactly(written):
     model, folder = written
     again = read_model(folder / "params.json")
     np.testing.assert_array_equal(again.parameters.to_vector(), model.parameters.to_vector())
@@ -29,7 +29,7 @@ def test_params_json_is_read_back_bit_for_bit(written):
     assert (again.name, again.frame, again.vehicle) == (model.name, "world", model.vehicle)
 
 
-def test_the_controller_s_file_is_read_back_as_the_same_dynamics(written):
+def test_the_controllers_file_gives_the_same_dynamics(written):
     model, folder = written
     again = read_model(folder / "holohover_params.yaml")
     assert again.vehicle.command_min == model.vehicle.command_min
@@ -58,7 +58,7 @@ def load(text, folder):
 
 
 @PUBLISHED
-def test_a_published_params_json_survives(name, data, tmp_path):
+def test_a_published_params_json_round_trips(name, data, tmp_path):
     path = data / "models" / "paper" / name / "params.json"
     published, model = json.loads(path.read_text()), read_model(path)
     content = params_json(model)
@@ -105,7 +105,7 @@ def file_of_the_controller(direct):
 
 
 @pytest.mark.parametrize("direct", ["false", "true"])
-def test_a_file_of_the_controller_survives(direct, tmp_path):
+def test_a_controller_file_round_trips(direct, tmp_path):
     path = tmp_path / "holohover_params.yaml"
     path.write_text(file_of_the_controller(direct))
     model, before = read_model(path), load_file(tmp_path)
@@ -135,7 +135,7 @@ def test_a_file_of_the_controller_survives(direct, tmp_path):
         ("signal_to_thrust_coeffs_motor_1: [0.1]", "same length"),
     ],
 )
-def test_a_damaged_file_is_one_line(line, message, tmp_path):
+def test_a_damaged_file_ends_in_one_line(line, message, tmp_path):
     key = line.partition(":")[0]
     lines = file_of_the_controller("true").replace("\n            ", " ").splitlines()
     path = tmp_path / "holohover_params.yaml"
@@ -146,7 +146,7 @@ def test_a_damaged_file_is_one_line(line, message, tmp_path):
 
 
 @pytest.mark.parametrize("text", ["", "[1, 2]", "mass: 0.1", "? [1, 2]\n: 3\n", "2001-01-01: 1\n"])
-def test_another_yaml_is_one_line(text, tmp_path):
+def test_an_unrelated_yaml_file_is_rejected_in_one_line(text, tmp_path):
     path = tmp_path / "holohover_params.yaml"
     path.write_text(text)
     with pytest.raises(InputError, match=r"holohover_params\.yaml"):
@@ -172,7 +172,7 @@ MOVED = PAPER["M2"].vehicle.propellers[0].model_copy(update={"direction_deg": 80
         ),
     ],
 )
-def test_what_the_files_cannot_hold_is_rejected_by_name(model, message, tmp_path):
+def test_unrepresentable_models_are_rejected_by_name(model, message, tmp_path):
     with pytest.raises(InputError, match=message):
         export.write(model, "holohover", tmp_path / "out")
     assert not (tmp_path / "out").exists()

@@ -22,7 +22,7 @@ from tests.apparatus.export_crafts import DISH, FOUR, ON_OFF, PAPER, REVERSIBLE,
 M4 = PAPER["M4"]
 
 
-def test_an_unknown_kind_names_the_kinds(tmp_path):
+def test_an_unknown_kind_lists_the_kinds(tmp_path):
     with pytest.raises(InputError, match=r"must be 'c', .*, not 'cassadi'; did you mean 'casadi'"):
         export.write(M4, "cassadi", tmp_path)
 
@@ -37,7 +37,7 @@ def test_settings_that_a_kind_does_not_use_are_rejected(kind, given, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_a_failed_export_leaves_the_folder_as_it_was(tmp_path, monkeypatch):
+def test_a_failed_export_leaves_the_folder_unchanged(tmp_path, monkeypatch):
     export.write(M4, "mjcf", tmp_path)
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
     failing = replace(kinds.KINDS["mjcf"], module=__name__)
@@ -78,7 +78,7 @@ def test_effects_that_a_kind_cannot_represent_are_rejected_by_name(kind, effect,
         export.write(DISH if effect == "Dish" else hull, kind, tmp_path)
 
 
-def test_names_cannot_end_a_line_a_string_or_a_comment(tmp_path):
+def test_names_cannot_end_a_line_string_or_comment(tmp_path):
     vehicle = M4.vehicle.model_copy(update={"name": "a--b\nmass: 1\n'%-->"})
     model = replace(M4, name="M\n4", source="x\ny", vehicle=vehicle)
     for kind in ("casadi", "holohover", "matlab", "mjcf"):
@@ -91,18 +91,18 @@ def test_names_cannot_end_a_line_a_string_or_a_comment(tmp_path):
 
 
 @pytest.mark.parametrize("kind", ["c", "casadi", "gym", "matlab"])
-def test_the_name_of_the_source_may_be_any_bytes(kind, tmp_path):
+def test_the_source_may_have_any_file_name(kind, tmp_path):
     export.write(replace(M4, source=os.fsdecode(b"\xff.json")), kind, tmp_path)
 
 
-def test_files_of_others_in_the_folder_stay(tmp_path):
+def test_unrelated_files_in_the_folder_are_kept(tmp_path):
     (tmp_path / "notes.txt").write_text("mine")
     written = export.write(M4, "mjcf", tmp_path)
     assert "notes.txt" not in written.files
     assert (tmp_path / "notes.txt").read_text() == "mine"
 
 
-def test_a_folder_of_a_file_s_name_stops_the_export_before_it_writes(tmp_path):
+def test_a_folder_in_place_of_a_file_stops_the_export_before_writing(tmp_path):
     (tmp_path / "craft.xml").mkdir()
     with pytest.raises(InputError, match=r"craft\.xml: is a folder"):
         export.write(M4, "mjcf", tmp_path)
@@ -158,7 +158,7 @@ def test_the_command_does_not_replace_its_inputs(tmp_path):
     assert len(list(tmp_path.iterdir())) == 2
 
 
-def test_nothing_is_written_beside_an_existing_folder(tmp_path, monkeypatch):
+def test_nothing_is_written_outside_an_existing_folder(tmp_path, monkeypatch):
     # It may be the only folder that one may write to, or lie on a file system of its own.
     made = []
 
@@ -172,7 +172,7 @@ def test_nothing_is_written_beside_an_existing_folder(tmp_path, monkeypatch):
     assert made and all(path.is_relative_to(tmp_path) for path in made)
 
 
-def test_a_model_exports_itself(tmp_path):
+def test_a_model_can_export_itself(tmp_path):
     written = M4.export("casadi", tmp_path / "own")
     export.write(M4, "casadi", tmp_path / "other")
     assert written.files and (tmp_path / "own" / written.files[0]).is_file()

@@ -57,7 +57,7 @@ def matrices(text):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", CRAFT)
-def test_rates_and_steps_are_the_same(name, found):
+def test_rates_and_steps_equal_those_in_python(name, found):
     model = CRAFT[name]
     states, commands = random_states(model, STATES)
     rates = np.array([model.derivative(*pair) for pair in zip(states, commands, strict=True)])
@@ -71,7 +71,7 @@ def test_rates_and_steps_are_the_same(name, found):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", CRAFT)
-def test_the_linearisation_is_the_same(name, found):
+def test_the_linearisation_equals_that_in_python(name, found):
     dynamics = CRAFT[name].dynamics
     command = trim(dynamics, yaw=YAW)
     np.testing.assert_allclose(found[name]["hover"][:, 0], command, rtol=0, atol=1e-9)

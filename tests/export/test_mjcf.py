@@ -29,7 +29,7 @@ def started(model, state, table=LARGE):
 
 
 @pytest.mark.parametrize("model", CRAFT.values(), ids=CRAFT)
-def test_a_second_of_free_flight_is_the_same(model):
+def test_a_second_of_free_flight_matches_the_model(model):
     random, n = np.random.default_rng(0), model.vehicle.n_propellers
     commands = random.uniform(model.vehicle.command_min, 1, (10, n))
     speeds = random.uniform(0, 1, n if model.dynamics.motor_time_constant > 0 else 0)
@@ -49,7 +49,7 @@ def test_a_second_of_free_flight_is_the_same(model):
     ("seed", "period", "off"),
     [(0, None, (1e-5, 1e-5))] + [(seed, 0.01, (1e-4, 5e-3)) for seed in range(3)],
 )
-def test_commands_are_set_before_each_step_or_once_in_a_period_that_is_named(seed, period, off):
+def test_commands_are_set_before_each_step_or_once_per_stated_period(seed, period, off):
     state = np.concatenate([np.zeros(6), np.full(6, 0.03)])
     commands = np.random.default_rng(seed).uniform(0.03, 1, (20, 6))
     compiled, data = started(M3, state)
@@ -66,7 +66,7 @@ def test_commands_are_set_before_each_step_or_once_in_a_period_that_is_named(see
     np.testing.assert_allclose(flown[6:], expected[6:], atol=1e-12)
 
 
-def test_controls_that_were_held_too_long_are_refused():
+def test_commands_held_for_too_long_are_rejected():
     compiled, data = started(M3, np.concatenate([np.zeros(6), np.full(6, 0.03)]))
     craft.set_command(compiled, data, [0.5] * 6)
     mujoco.mj_step(compiled, data, 2)
@@ -90,7 +90,7 @@ def test_the_lag_is_exact_except_with_runge_kutta(integrator, exact):
 
 @pytest.mark.parametrize("restitution", [0.3, 0.5, 0.7, 0.9, 1.0])
 @pytest.mark.parametrize("speed", [0.3, 2.0])
-def test_rails_return_the_table_s_share_of_the_speed(restitution, speed):
+def test_rails_have_the_restitution_of_the_table(restitution, speed):
     table = Table(restitution=restitution, friction=0.0)
     compiled, data = started(PAPER["M2"], np.r_[0.9, 0, 0, speed, 0, 0, np.zeros(6)], table)
     for _ in range(round(0.4 / speed / compiled.opt.timestep)):
@@ -101,7 +101,7 @@ def test_rails_return_the_table_s_share_of_the_speed(restitution, speed):
     assert data.qpos[1] == pytest.approx(0, abs=2e-3)
 
 
-def test_sensors_name_pose_and_forces():
+def test_sensors_measure_pose_and_forces():
     compiled, data = started(M3, np.r_[0.1, 0.2, 0.3, 0.4, 0.5, 0.6, np.full(6, 0.5)])
     mujoco.mj_forward(compiled, data)
     for name, value in (("x", 0.1), ("y", 0.2), ("yaw", 0.3)):

@@ -35,7 +35,7 @@ def unit_square(**changes: object) -> Program:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_solutions_satisfy_the_kkt_conditions_and_are_those_of_daqp(kind, solver):
+def test_solutions_satisfy_the_kkt_conditions_and_match_daqp(kind, solver):
     random = np.random.default_rng(KINDS.index(kind))
     for k in range(150):
         program = posed = draw(random, kind)
@@ -66,7 +66,7 @@ def test_no_other_active_set_is_better(solver):
     assert verdicts == {"solved", "infeasible"}
 
 
-def test_single_precision_keeps_the_digits_that_the_condition_leaves(single):
+def test_single_precision_is_as_accurate_as_the_condition_allows(single):
     random = np.random.default_rng(2)
     lost = []
     for k in range(200):
@@ -78,7 +78,7 @@ def test_single_precision_keeps_the_digits_that_the_condition_leaves(single):
     assert np.quantile(lost, 0.95) < 10 * np.finfo(np.float32).eps
 
 
-def test_the_last_active_set_needs_no_iterations(solver):
+def test_a_warm_start_needs_at_most_two_iterations(solver):
     random = np.random.default_rng(3)
     for kind in ("plain", "soft", "equalities"):
         program = draw(random, kind, n=10, r=10)
@@ -88,7 +88,7 @@ def test_the_last_active_set_needs_no_iterations(solver):
         np.testing.assert_allclose(warm.x, cold.x, rtol=1e-9, atol=1e-12)
 
 
-def test_a_soft_row_gives_way_at_its_price(solver):
+def test_a_soft_row_is_exceeded_at_its_price(solver):
     # min x²/2 - 2x with x ≤ 0 soft: x = e, and 2 - e = penalty (1 + e).
     line = replace(unit_square(), hessian=np.eye(1), gradient=np.array([-2.0]))
     soft = replace(
@@ -117,12 +117,12 @@ def test_a_soft_row_gives_way_at_its_price(solver):
         (unit_square(hessian=np.ones((2, 2))), "not convex"),
     ],
 )
-def test_every_way_to_end_has_its_status(program, status, solver, single):
+def test_every_outcome_has_its_status(program, status, solver, single):
     assert solver.solve(program).status == status
     assert single.solve(program).status == status
 
 
-def test_limits_at_zero_without_a_gradient_are_met_exactly(solver):
+def test_zero_limits_without_a_gradient_are_met_exactly(solver):
     program = unit_square(gradient=np.zeros(2), upper=np.array([0.0, 1.0]))
     for start in ([0, 0], [1, 1]):
         found = solver.solve(program, np.array(start))
@@ -131,7 +131,7 @@ def test_limits_at_zero_without_a_gradient_are_met_exactly(solver):
 
 
 @pytest.mark.parametrize("penalty", [1e3, 1e6])
-def test_a_stiff_soft_row_gives_way_to_a_hard_limit(penalty, solver, single):
+def test_a_hard_limit_takes_precedence_over_a_stiff_soft_row(penalty, solver, single):
     # x = 1 is hard, x ≤ 0 soft: the violation is 1, whatever it costs.
     for one in (solver, single):
         found = one.solve(
@@ -149,7 +149,7 @@ def test_a_stiff_soft_row_gives_way_to_a_hard_limit(penalty, solver, single):
         np.testing.assert_allclose(found.x, 1.0, rtol=1e-5)
 
 
-def test_an_infeasible_program_leaves_a_state_from_which_the_next_is_solved(solver):
+def test_the_solver_recovers_after_an_infeasible_program(solver):
     random = np.random.default_rng(5)
     for _ in range(20):
         program = draw(random, "plain", n=4, r=4)

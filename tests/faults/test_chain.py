@@ -26,7 +26,7 @@ FAULTS = (Fault((0, 1, 2), 5), Fault((), 12), *(Fault((m,), 5) for m in range(3)
 NAMES = ("left", "right", "back")
 
 
-def test_probabilities_are_sums_over_paths():
+def test_probabilities_are_sums_over_all_paths():
     rng = np.random.default_rng(0)
     states, steps = 3, 5
     transition = rng.dirichlet(np.ones(states), states)
@@ -41,14 +41,14 @@ def test_probabilities_are_sums_over_paths():
     np.testing.assert_allclose(found, expected, rtol=1e-12)
 
 
-def test_long_chains_neither_overflow_nor_vanish():
+def test_long_chains_neither_overflow_nor_underflow():
     seen = np.where(np.arange(20_000)[:, None] % 2 == [0, 1], -900.0, 0.0)
     transition = np.array([[0.5, 0.5], [0.5, 0.5]])
     found = state_probabilities(seen, transition, np.array([0.5, 0.5]))
     np.testing.assert_allclose(found, np.exp(seen), atol=1e-12)
 
 
-def test_two_motors_at_once_are_thirty_times_rarer_than_one():
+def test_two_simultaneous_stalls_are_thirty_times_rarer_than_one():
     """FAULTS has one of the three pairs, which stands for all."""
     first = np.cumsum([1, *(fault.ages for fault in FAULTS)])[:-1]
     begins = fault_chain(FAULTS, NAMES).transition[0, first]
@@ -56,7 +56,7 @@ def test_two_motors_at_once_are_thirty_times_rarer_than_one():
     assert begins[count == 2].sum() == pytest.approx(begins[count == 1].sum() / 30)
 
 
-def test_the_chain_is_one():
+def test_the_chain_is_a_valid_markov_chain():
     chain = fault_chain(FAULTS, NAMES)
     np.testing.assert_allclose(chain.transition.sum(axis=1), 1)
     np.testing.assert_allclose(chain.initial.sum(), 1)
@@ -69,14 +69,14 @@ def test_the_chain_is_one():
     assert set(chain.causes) == {RADIO_OUT, UNEXPLAINED, *(f"{name} stalled" for name in NAMES)}
 
 
-def test_a_recording_may_begin_before_the_motors_are_armed_and_with_no_other_fault():
+def test_a_recording_may_start_unarmed_but_with_no_other_fault():
     chain, (unarmed, *_) = fault_chain(FAULTS, NAMES), FAULTS
     begins = {0: 0.98, unarmed.ages: 0.02}
     expected = [begins.get(state, 0.0) for state in range(len(chain.initial))]
     np.testing.assert_allclose(chain.initial, expected)
 
 
-def test_faults_of_motors_last_at_least_a_tenth_of_a_second():
+def test_motor_faults_last_at_least_a_tenth_of_a_second():
     chain = fault_chain(FAULTS, NAMES)
     states = np.zeros(len(chain.initial))
     states[0] = 1
@@ -131,7 +131,7 @@ def test_a_healthy_craft_is_normal(flight, predicted):
 
 
 @pytest.mark.parametrize(("lag", "steps"), [(0.045, 6), (0.09, 11), (0.4, 20)])
-def test_a_motor_stands_after_three_lags(flight, lag, steps):
+def test_a_stalled_motor_stops_within_three_lags(flight, lag, steps):
     """In steps of 25 ms, at most 20 of them."""
     slow = replace(MODEL.parameters, motor_time_constant=lag)
     faults = predict_faults(flight, replace(MODEL, parameters=slow).dynamics).faults
@@ -139,7 +139,7 @@ def test_a_motor_stands_after_three_lags(flight, lag, steps):
 
 
 @pytest.mark.parametrize("motors", [(0,), (4,), (1, 3), tuple(range(6))])
-def test_motors_that_stand(flight, predicted, motors):
+def test_stalled_motors_are_predicted(flight, predicted, motors):
     command = flight.input.copy()
     command[predicted.knots[BEGIN] :, list(motors)] = 0
     expected = means(flight, predicted, command)
@@ -152,7 +152,7 @@ def test_motors_that_stand(flight, predicted, motors):
     assert np.abs(expected - predicted.normal)[BEGIN + ages :, 2].max() > 20
 
 
-def test_a_command_that_is_held(flight, predicted):
+def test_a_held_command_is_predicted(flight, predicted):
     knot = predicted.knots[BEGIN]
     command = flight.input.copy()
     command[knot:] = command[knot - 1]
@@ -165,7 +165,7 @@ def test_a_command_that_is_held(flight, predicted):
     assert len(modelled) >= 0.5 / 0.025
 
 
-def test_steps_that_touch_an_excluded_span_are_left_out(flight, predicted):
+def test_steps_overlapping_an_excluded_span_are_left_out(flight, predicted):
     time = flight.time[predicted.knots]
     marked = replace(flight, excluded=(Span(time[10] + 0.001, time[12], "gap"),))
     usable = usable_steps(marked, predicted.knots)

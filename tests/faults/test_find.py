@@ -37,17 +37,17 @@ def with_log(flight, first, last, command):
     return replace(flight, command=logged)
 
 
-def test_a_healthy_flight_has_none(flight):
+def test_a_healthy_flight_has_no_faults(flight):
     assert find_faults(flight, MODEL) == ()
 
 
 @pytest.mark.parametrize("factor", [0.9, 1.1])
-def test_a_model_that_is_somewhat_off_finds_none_either(flight, factor):
+def test_a_slightly_wrong_model_finds_no_faults_either(flight, factor):
     assert find_faults(flight, scaled(MODEL, factor)) == ()
 
 
 @pytest.mark.parametrize("motor", range(6))
-def test_a_motor_that_stands_is_named(flight, motor):
+def test_a_stalled_motor_is_named(flight, motor):
     # The motion is unchanged: this motor idles, although it runs according to the log.
     name = flight.propellers[motor]
     idle = np.flatnonzero(flight.command[:, motor] < 0.05)
@@ -72,7 +72,7 @@ ALIKE = [((45, 0), 180)] * 3 + [((-45, 15), 30), ((-45, -15), 330), ((0, 45), 27
 
 
 @pytest.mark.parametrize("motor", range(3))
-def test_a_stall_of_one_of_three_like_propellers_is_found_with_a_confidence_of_a_third(motor):
+def test_a_stall_of_one_of_three_equal_propellers_has_confidence_one_third(motor):
     """Nothing tells which of them stands: no cause is more probable than not."""
     propellers = [
         {"name": f"p{k}", "position_m": (x / 1e3, y / 1e3), "direction_deg": angle}
@@ -96,7 +96,7 @@ def test_a_stall_of_one_of_three_like_propellers_is_found_with_a_confidence_of_a
     assert fault.confidence == pytest.approx(1 / 3, abs=0.01)
 
 
-def test_a_blow_is_no_fault_of_motors():
+def test_hitting_a_rail_is_not_a_motor_fault():
     """A craft that drifts into a rail while it pushes along it."""
     settings = default_twin_settings()
     twin = Twin(MODEL, settings, seed=0, pose=(0.8, 0.0, 0.0))
@@ -117,24 +117,24 @@ def test_a_blow_is_no_fault_of_motors():
         assert any(s.start - 0.05 <= time - begin <= s.stop + 0.05 for s in found)
 
 
-def test_what_is_excluded_already_is_not_searched(flight):
+def test_excluded_spans_are_not_searched(flight):
     faulty = with_log(flight, 4.0, 4.5, np.array([0.9, 0.03, 0.9, 0.03, 0.9, 0.03]))
     assert find_faults(faulty, MODEL)
     known = faulty.leave_out([Span(3.9, 4.7, "known")])
     assert find_faults(known, MODEL) == ()
 
 
-def test_too_short_a_recording_says_nothing(flight):
+def test_too_short_a_recording_has_no_findings(flight):
     assert find_faults(flight.slice(0, 0.02), MODEL) == ()
 
 
-def test_a_model_of_another_craft_is_refused(flight):
+def test_a_model_of_another_craft_is_rejected(flight):
     with pytest.raises(InputError, match="4 "):
         find_faults(flight, model_of(four_propellers(), "M3"))
 
 
 @pytest.mark.data
-def test_the_known_faults_of_the_real_flight_are_found(experiments):
+def test_known_faults_of_the_real_flight_are_found(experiments):
     """The obvious faults of the recording are found with the published parameters."""
     trajectory = read_authors_experiment(experiments / VALIDATION / "data.pt")
     found = find_faults(trajectory, published_model("M3"))

@@ -48,7 +48,7 @@ def moved(propeller: Propeller, angle: float, mirror: bool = False) -> dict:
     return {"position_m": position, "direction_deg": direction + np.rad2deg(angle)}
 
 
-def test_the_true_layout_agrees(flight):
+def test_the_true_layout_is_accepted(flight):
     check = check_layout(flight, default_vehicle())
     assert check.agrees
     assert not check.remarks
@@ -71,7 +71,7 @@ def test_a_wrong_sign_is_named(flight):
     assert "other way" in wrong[0].verdict
 
 
-def test_directions_of_the_air_are_one_mistake(flight):
+def test_directions_that_state_the_air_flow_are_one_mistake(flight):
     turned = edited(lambda _, p: {"direction_deg": p.direction_deg + 180})
     check = check_layout(flight, turned)
     assert check.wrong == ("all directions",)
@@ -93,7 +93,7 @@ def test_swapped_motors_are_named(flight, first, second):
     assert verdicts[propellers[first].name].behaves_like == propellers[second].name
 
 
-def test_a_turned_layout_is_remarked(flight):
+def test_a_rotated_layout_is_reported(flight):
     check = check_layout(flight, edited(lambda _, p: moved(p, np.pi / 2)))
     assert not check.agrees
     assert "turned by -92 degrees" in check.remarks[0]
@@ -103,7 +103,7 @@ def test_a_turned_layout_is_remarked(flight):
     assert check.wrong == ("the yaw's zero",)
 
 
-def test_a_mirrored_layout_is_remarked(flight):
+def test_a_mirrored_layout_is_reported(flight):
     # The lab's file has Y up.
     mirrored = edited(lambda _, p: moved(p, 0.0, mirror=True))
     check = check_layout(flight, mirrored, axes=("x", "z", "y"))
@@ -114,7 +114,7 @@ def test_a_mirrored_layout_is_remarked(flight):
 
 
 @pytest.mark.parametrize("ratio", [0.01, 0.1, 10.0, 100.0])
-def test_a_wrong_unit_of_length_is_named_and_no_propeller_blamed(flight, ratio):
+def test_a_wrong_unit_of_length_is_named_and_no_propeller_accused(flight, ratio):
     scale = np.array([ratio, ratio, 1.0])
     logged = replace(
         flight, state=flight.state * np.tile(scale, 2), acceleration=flight.acceleration * scale
@@ -163,7 +163,7 @@ def recorded(request):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("signs", SIGNS)
-def test_flipped_axes_are_named_with_what_mends_them(recorded, signs):
+def test_flipped_axes_are_named_with_their_correction(recorded, signs):
     recording, vehicle = recorded
     logged = edited_poses(recording, signs)
     check = check_layout(preprocess(logged, vehicle), vehicle)
@@ -187,7 +187,7 @@ def test_flipped_axes_are_named_with_what_mends_them(recorded, signs):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("sign", [1, -1])
-def test_exchanged_columns_of_x_and_y_are_one_cause(recorded, sign):
+def test_swapped_columns_of_x_and_y_are_one_cause(recorded, sign):
     recording, vehicle = recorded
     logged = edited_poses(recording, (sign, sign, 1))
     pose = logged["pose"]
@@ -201,7 +201,7 @@ def test_exchanged_columns_of_x_and_y_are_one_cause(recorded, sign):
     assert check.to_json()["exchanged"]
 
 
-def test_without_a_clear_propeller_the_layout_is_not_called_turned(flight):
+def test_a_layout_without_clear_propellers_is_not_called_rotated(flight):
     """Rotations of vague effects mean nothing."""
     quiet = replace(flight, command=np.full_like(flight.command, 0.3))
     assert "the yaw's zero" not in check_layout(quiet, default_vehicle()).wrong
@@ -214,14 +214,14 @@ def edited_poses(recording, signs):
     return with_edit(recording, "pose", edit)
 
 
-def test_mass_thrust_and_inertia_need_not_be_right(flight):
+def test_mass_thrust_and_inertia_need_not_be_accurate(flight):
     vehicle = default_vehicle()
     wrong = {"thrust_N": (0.0, 2.0), "inertia_kg_m2": 8e-4, "motor_time_constant_s": 0.06}
     assert check_layout(flight, changed(vehicle, mass_kg=0.3, nominal=wrong)).agrees
 
 
 @pytest.mark.parametrize("ratio", [0.25, 0.3, 3.0])
-def test_a_poor_guess_of_the_inertia_blames_no_propeller(flight, ratio):
+def test_a_poor_estimate_of_the_inertia_accuses_no_propeller(flight, ratio):
     inertia = ratio * default_vehicle().nominal.inertia_kg_m2
     craft = changed(default_vehicle(), nominal={"inertia_kg_m2": inertia})
     check = check_layout(flight, craft)
@@ -231,7 +231,7 @@ def test_a_poor_guess_of_the_inertia_blames_no_propeller(flight, ratio):
 
 
 @pytest.mark.parametrize(("error", "verdict"), [(0.01, "has no such effect"), (0.2, "not clear")])
-def test_only_a_certain_deviation_is_blamed(flight, monkeypatch, error, verdict):
+def test_only_a_certain_deviation_is_reported(flight, monkeypatch, error, verdict):
     vehicle = default_vehicle()
     effect = np.asarray(nominal_model(vehicle).dynamics.configuration).copy()
     push = np.linalg.norm(effect[:2, 0])
@@ -248,7 +248,7 @@ def test_only_a_certain_deviation_is_blamed(flight, monkeypatch, error, verdict)
     assert {one.verdict for one in others} == {"agrees"}
 
 
-def test_one_unused_motor_does_not_make_a_recording_still(flight, monkeypatch):
+def test_one_unused_motor_does_not_make_a_recording_inconclusive(flight, monkeypatch):
     vehicle = default_vehicle()
 
     def measured(*given):
@@ -261,7 +261,7 @@ def test_one_unused_motor_does_not_make_a_recording_still(flight, monkeypatch):
     assert not check.conclusive and not check.still
 
 
-def test_a_rotation_is_not_remarked_where_motors_are_swapped():
+def test_a_rotation_is_not_reported_if_motors_are_swapped():
     swapped = layout_check.PropellerCheck("a", -1.0, "b", "behaves like b: motors are swapped")
     fine = layout_check.PropellerCheck("c", 1.0, "c", "agrees")
     check = layout_check.LayoutCheck((fine,), 0.9, 0.0, 0.0, 0.45, AxisSigns())
@@ -281,7 +281,7 @@ def test_noise_is_not_conclusive(flight, seed):
 
 
 @pytest.mark.parametrize("moved", [1, 2, 3, 4, 5, 6])
-def test_commands_of_another_time_explain_nothing(flight, moved):
+def test_commands_from_another_time_explain_nothing(flight, moved):
     """The motion is smooth, and far from white: that alone must not look like an explanation."""
     elsewhere = np.roll(flight.command, moved * len(flight.command) // 7, axis=0)
     assert not check_layout(replace(flight, command=elsewhere), default_vehicle()).conclusive
@@ -329,14 +329,14 @@ def test_a_slow_and_noisy_craft_is_judged():
         assert abs(propeller.strength - 1) < 4 * propeller.strength_error
 
 
-def test_a_short_flight_of_a_slow_craft_says_how_much_longer_to_fly():
+def test_a_short_flight_of_a_slow_craft_states_how_much_longer_to_fly():
     flight, vehicle = slow(9.0, noise=1e-2)
     check = check_layout(flight, vehicle)
     assert not check.conclusive
     assert "would be seen in about" in check.remarks[0]
 
 
-def test_the_delay_is_found(flight):
+def test_the_delay_is_estimated(flight):
     # This check finds its own delay: the one found by correlation need not be right.
     assert check_layout(flight, default_vehicle()).delay == pytest.approx(5 / 240, abs=1 / 240)
 
@@ -360,7 +360,7 @@ EFFECTS = acceleration_map(np, MODEL.dynamics, 0.0, 0.0)[0] * np.array([[1], [1]
     signs=st.lists(st.sampled_from([1, -1]), min_size=6, max_size=6),
     seed=st.integers(0, 1000),
 )
-def test_any_order_and_sign_is_found_where_effects_differ(order, signs, seed):
+def test_any_order_and_sign_is_found_if_effects_differ(order, signs, seed):
     """Six effects no two of which are parallel: an octahedron's axes, turned, would be."""
     rng = np.random.default_rng(seed)
     fixed = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1], [1, -1, 0], [-1, 0.2, 1]]).T
@@ -371,7 +371,7 @@ def test_any_order_and_sign_is_found_where_effects_differ(order, signs, seed):
     }
 
 
-def test_an_effect_like_none_is_said_to_be():
+def test_an_effect_that_matches_no_motor_is_reported():
     seen = EFFECTS.copy()
     seen[:, 2] = turned(seen[:, 2:3], np.deg2rad(60))[:, 0]
     found = match_effects(seen, EFFECTS, np.arange(6))
@@ -380,7 +380,7 @@ def test_an_effect_like_none_is_said_to_be():
 
 
 @pytest.mark.parametrize("angle", [-2.5, 0.0, 1.0])
-def test_a_rotation_is_found(angle):
+def test_a_rotation_is_estimated(angle):
     assert rotation(turned(EFFECTS, angle), EFFECTS) == pytest.approx(angle)
 
 
@@ -390,7 +390,7 @@ def steady_turn(duration: float = 60.0):
     return preprocess(sail(lambda *_: (0.45, 0.5), duration), vehicle), vehicle
 
 
-def test_commands_that_never_change_tell_nothing():
+def test_constant_commands_are_inconclusive():
     flight, vehicle = steady_turn()
     check = check_layout(flight, vehicle)
     assert not check.conclusive and not check.agrees
@@ -411,7 +411,7 @@ def test_a_zigzag_course_determines_neither_floor_nor_strengths():
 
 
 @pytest.mark.slow
-def test_separate_changes_of_the_commands_determine_the_propellers():
+def test_independent_commands_determine_the_propellers():
     levels = np.random.default_rng(3).uniform(0.2, 0.9, (120, 2))
     vehicle = boat()
     flight = preprocess(sail(lambda t, _: levels[int(t)], 120.0), vehicle)

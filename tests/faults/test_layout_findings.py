@@ -22,7 +22,7 @@ def check(rotation: float = 0.0, signs: AxisSigns | None = None, **given) -> Lay
     return LayoutCheck((), 0.9, 1e-9, 0.02, rotation, signs or AxisSigns(), **given)
 
 
-def test_a_layout_that_is_turned_by_half_may_also_have_two_flipped_axes():
+def test_a_layout_rotated_by_half_a_turn_may_instead_have_two_flipped_axes():
     turned, flipped = layout_findings(check(math.pi - 0.1))
     assert turned.kind == "axes" and "turned by 174 degrees" in turned.cause
     assert flipped.kind == "signs"
@@ -31,7 +31,7 @@ def test_a_layout_that_is_turned_by_half_may_also_have_two_flipped_axes():
     assert [one.kind for one in layout_findings(check(2.0))] == ["axes"]
 
 
-def test_an_axis_that_counts_the_wrong_way_is_named_with_the_line_to_write():
+def test_a_flipped_axis_is_named_with_the_line_to_write():
     (found,) = layout_findings(check(signs=AxisSigns(y=-1), axes=("x", "-y", "z")))
     assert found.cause == "The y axis is flipped: counts the wrong way"
     assert found.remedy.endswith('axes = ["x", "y", "z"]')
@@ -50,13 +50,13 @@ def motion():
     "signs",
     [AxisSigns(), AxisSigns(x=-1), AxisSigns(y=-1), AxisSigns(yaw=-1), AxisSigns(x=-1, yaw=-1)],
 )
-def test_flipped_axes_are_found(motion, signs):
+def test_flipped_axes_are_detected(motion, signs):
     """x and y flipped together look like a rigid body turned by half: not tested here."""
     flight, modelled = motion
     assert find_axis_signs(signs.undone(flight), modelled, 0.0) == signs
 
 
-def test_a_flipped_axis_on_a_turned_rigid_body_is_not_two_others(motion):
+def test_one_flipped_axis_on_a_rotated_body_is_not_two_others(motion):
     flight, modelled = motion
     angle = math.pi - 1.0
     turned = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
@@ -64,7 +64,7 @@ def test_a_flipped_axis_on_a_turned_rigid_body_is_not_two_others(motion):
     assert find_axis_signs(AxisSigns(y=-1).undone(flight), forces, 0.0) == AxisSigns(y=-1)
 
 
-def test_axes_are_right_if_others_explain_hardly_more(motion):
+def test_axes_are_kept_if_flips_explain_little_more(motion):
     flight, _ = motion
     noise = np.random.default_rng(0).normal(size=(3, len(flight)))
     assert find_axis_signs(flight, noise, 0.0) == AxisSigns()

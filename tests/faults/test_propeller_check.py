@@ -37,9 +37,7 @@ def judged(shares, errors, inertia=1.0):
         (0.04, 0.04 * 0.2 / 2.6, "agrees"),
     ],
 )
-def test_a_propeller_is_dead_if_it_may_give_nothing_and_surely_less_than_half(
-    share, error, verdict
-):
+def test_dead_means_possibly_zero_and_certainly_below_half(share, error, verdict):
     *others, last = judged([0.2, 0.2, 0.2, share], [0.001, 0.001, 0.001, error])
     assert [one.verdict for one in others] == ["agrees"] * 3
     assert last.verdict == verdict
@@ -73,7 +71,7 @@ def test_an_uncertain_effect_may_have_the_stated_direction():
     assert not may_agree(-along, np.full(3, 0.01), along)
 
 
-def test_a_cable_is_swapped_rather_than_two_propellers_reversed():
+def test_a_swapped_cable_is_preferred_to_two_reversed_propellers():
     """Opposed propellers: each one's reversed effect is the other's effect."""
     found = match_effects(
         STATED[:, [1, 0, 2, 3]] * [[1], [1], [0]], STATED * [[1], [1], [0]], np.arange(4)

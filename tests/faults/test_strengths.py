@@ -40,7 +40,7 @@ def with_mistake(recording: Recording, pose=None, command=None) -> Trajectory:
     return preprocess(Recording.from_arrays(*arrays, propellers=default_vehicle().columns))
 
 
-def test_a_right_recording_has_no_findings(recording):
+def test_a_correct_recording_has_no_findings(recording):
     assert recording_findings(with_mistake(recording), default_vehicle()) == ()
 
 
@@ -52,13 +52,13 @@ def test_a_right_recording_has_no_findings(recording):
         ((10, 10, 1), "units", "The unit of length", "[pose]"),
     ],
 )
-def test_wrong_poses_are_the_cause(recording, pose, kind, cause, remedy):
+def test_wrong_axes_or_units_of_poses_are_the_cause(recording, pose, kind, cause, remedy):
     (found,) = recording_findings(with_mistake(recording, pose), default_vehicle())
     assert (found.kind, found.suspect) == (kind, True)
     assert found.cause.startswith(cause) and remedy in found.remedy
 
 
-def test_the_corrected_line_is_in_terms_of_the_mapping(recording):
+def test_the_correction_is_stated_in_terms_of_the_mapping(recording):
     flight, axes = with_mistake(recording, (1, -1, 1)), ("x", "z", "y")
     (found,) = recording_findings(flight, default_vehicle(), axes)
     assert 'axes = ["x", "-z", "y"]' in found.remedy
@@ -73,12 +73,12 @@ def test_pulse_widths_without_their_neutral_are_the_cause(recording):
     assert not [one for one in recording_findings(flight, idling) if "pulse" in one.cause]
 
 
-def test_commands_that_rest_high_are_no_pulse_widths_if_they_do_not_reach_the_top(recording):
+def test_high_resting_commands_below_full_scale_are_not_pulse_widths(recording):
     flight = with_mistake(recording, command=lambda command: 0.4 + 0.2 * command)
     assert not [one for one in recording_findings(flight, default_vehicle()) if one.kind == "units"]
 
 
-def test_motors_in_another_order_are_the_cause(recording):
+def test_swapped_motors_are_the_cause(recording):
     order = [1, 2, 0, 3, 4, 5]
     flight = with_mistake(recording, command=lambda command: command[:, order])
     (found,) = recording_findings(flight, default_vehicle())
@@ -89,7 +89,7 @@ def test_motors_in_another_order_are_the_cause(recording):
     assert found.cause == "; ".join(said)
 
 
-def test_directions_of_the_air_are_the_cause(recording):
+def test_directions_of_the_air_flow_are_the_cause(recording):
     wrong = with_propellers(
         default_vehicle(), lambda _, p: {"direction_deg": p.direction_deg + 180}
     )
@@ -152,7 +152,7 @@ def fitted(model: Model, error: float, rng=None) -> Model:
 
 @pytest.mark.parametrize("count", [3, 4, 6, 8])
 @pytest.mark.parametrize("common", [1.0, 0.8])
-def test_sound_actuators_are_not_accused(count, common):
+def test_healthy_actuators_are_not_accused(count, common):
     rng, accused = np.random.default_rng(count), 0
     for _ in range(40):
         model = fitted(truth(craft(count), *[common] * count), 0.06, rng)
@@ -175,7 +175,7 @@ def test_a_weak_actuator_is_named(count, scale, verdict):
 
 
 @pytest.mark.parametrize("count", [3, 4, 6, 8])
-def test_a_motor_somewhat_below_the_others_is_named_with_its_factor(count):
+def test_a_somewhat_weak_motor_is_named_with_its_factor(count):
     # The vehicle file is 16 % optimistic; the motors' curves are known to half a percent.
     model = fitted(truth(craft(count), 0.84 * 0.85, *[0.84] * (count - 1)), 0.84 * 0.005)
     strengths = find_strengths(model)
@@ -190,7 +190,7 @@ def test_a_motor_somewhat_below_the_others_is_named_with_its_factor(count):
 @pytest.mark.parametrize(
     ("share", "spread", "named"), [(0.96, 0.05, 0), (0.96, 0.02, 1), (0.9, 0.2, 0)]
 )
-def test_less_than_the_usual_spread_is_not_named(share, spread, named):
+def test_a_weakness_within_the_usual_spread_is_not_reported(share, spread, named):
     model = fitted(truth(craft(6), share), 0.004)
     vehicle = changed(model.vehicle, nominal={"thrust_spread": spread})
     strengths = find_strengths(replace(model, vehicle=vehicle))
@@ -198,13 +198,13 @@ def test_less_than_the_usual_spread_is_not_named(share, spread, named):
     assert strengths.actuators[0].of_others == pytest.approx(share)
 
 
-def test_an_uncertain_motor_is_not_named_weak():
+def test_a_motor_with_uncertain_strength_is_not_called_weak():
     """Ten percent below the others, at three standard errors."""
     assert not find_strengths(fitted(truth(craft(6), 0.9), 0.03)).remarkable
 
 
 @pytest.mark.parametrize(("flown", "named"), [(1.0, 0), (0.85, 1)])
-def test_fit_and_recording_must_agree_before_a_motor_is_weak(flown, named):
+def test_a_motor_is_weak_only_if_fit_and_recording_agree(flown, named):
     """A fit that lacks some physics may be certain of a strength that the craft does not have."""
     flight = fly(truth(craft(6), flown), 15.0, seed=3)
     strengths = find_strengths(fitted(truth(craft(6), 0.85), 0.004), flight)
@@ -220,7 +220,7 @@ def test_a_common_error_is_one_finding():
     assert "about 70 % of their nominal strength" in strengths.sentences[0]
 
 
-def test_what_is_not_known_is_not_judged():
+def test_unknown_strengths_are_not_judged():
     strengths = find_strengths(truth(craft(6), 0.5))
     assert {one.verdict for one in strengths.actuators} == {"unknown"}
     assert not strengths.sentences
@@ -278,7 +278,7 @@ def test_a_level_table_is_not_called_tilted():
 
 
 @pytest.mark.parametrize("scale", [1.0, 0.6])
-def test_a_tilted_table_is_no_actuators_fault(scale):
+def test_a_tilted_table_is_not_blamed_on_an_actuator(scale):
     flight = flight_on_a_slope(scale)
     check = check_layout(flight, craft(6))
     assert check.agrees
@@ -292,7 +292,7 @@ def test_a_tilted_table_is_no_actuators_fault(scale):
 
 
 @pytest.mark.parametrize("count", [3, 8])
-def test_a_slope_is_found_with_other_layouts(count):
+def test_a_slope_is_detected_with_other_layouts(count):
     model = truth(craft(count))
     parameters = replace(model.parameters, tilt=np.array(TILT))
     flight = fly(replace(model, parameters=parameters), 15.0, seed=2)
@@ -306,7 +306,7 @@ def test_a_slope_is_found_with_other_layouts(count):
         ("friction", (0.5, 0.0), 0.05, "rough", "M3+drag+friction"),
     ],
 )
-def test_other_floors_are_recognised(name, true, near, says, rung):
+def test_uneven_and_rough_floors_are_recognised(name, true, near, says, rung):
     model = truth(craft(6))
     parameters = replace(model.parameters, **{name: np.array(true)})
     flight = fly(replace(model, parameters=parameters), 15.0, seed=2)
@@ -318,7 +318,7 @@ def test_other_floors_are_recognised(name, true, near, says, rung):
     assert usual_rung(flight, craft(6)) == rung
 
 
-def test_faults_are_searched_on_the_tilted_table():
+def test_faults_are_found_on_a_tilted_table():
     flight = flight_on_a_slope()
     model = on_table_of(fitted(nominal_model(craft(6)), 0.02), flight)
     np.testing.assert_allclose(model.parameters.tilt, TILT, atol=5e-3)
@@ -326,7 +326,7 @@ def test_faults_are_searched_on_the_tilted_table():
     assert find_faults(flight, model) == ()
 
 
-def test_a_wheel_is_not_compared_with_propellers_whose_thrust_was_guessed(tmp_path):
+def test_a_wheel_is_not_compared_with_propellers_of_unknown_thrust(tmp_path):
     # Five propellers push 1.5 times as hard as guessed; the wheel's torque is from a data sheet.
     vehicle = triangle(tmp_path)
     found = find_strengths(fitted(truth(vehicle, *[1.5] * 3, 1.0, 1.5, 1.5, 1.0), 0.02))
@@ -336,7 +336,7 @@ def test_a_wheel_is_not_compared_with_propellers_whose_thrust_was_guessed(tmp_pa
     assert [one.name for one in weak.remarkable] == ["wheel", "wheel_reverse"]
 
 
-def test_a_strength_that_could_be_anything_is_not_called_sound():
+def test_an_undetermined_strength_is_not_reported_as_sound():
     found = find_strengths(fitted(truth(craft(4), 0.6), 0.3))
     assert {one.verdict for one in found.actuators} == {"unknown"}
     (said,) = found.sentences

@@ -42,7 +42,7 @@ def least_distance(one, other, since):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
-def test_agreed_paths_keep_their_distance_with_late_lost_and_repeated_messages(seed):
+def test_agreed_paths_keep_apart_despite_late_lost_and_repeated_messages(seed):
     random = np.random.default_rng(seed)
     craft = parts()
     searches = {name: Search(REACH, BORDER, k) for k, name in enumerate(craft)}
@@ -72,7 +72,7 @@ def test_agreed_paths_keep_their_distance_with_late_lost_and_repeated_messages(s
     assert changes > 10  # they do not keep their distance by standing still
 
 
-def test_a_proposal_is_flown_only_after_all_others_have_accepted_it():
+def test_a_proposal_is_flown_only_after_all_others_accepted_it():
     craft = parts()
     a, b, c = craft.values()
     a.propose(straight(STARTS["a"], (-0.4, 0.2, 0.0), 1.0), 1.0)
@@ -85,7 +85,7 @@ def test_a_proposal_is_flown_only_after_all_others_have_accepted_it():
     assert a.agreed.number == 1
 
 
-def test_an_acceptance_that_comes_too_late_is_of_no_use():
+def test_a_late_acceptance_is_ignored():
     craft = parts()
     a, b, c = craft.values()
     a.propose(straight(STARTS["a"], (-0.4, 0.2, 0.0), 0.3), 0.3)
@@ -96,7 +96,7 @@ def test_an_acceptance_that_comes_too_late_is_of_no_use():
     assert a.proposal is None
 
 
-def test_of_two_crossing_proposals_the_craft_that_arrives_last_goes_first():
+def test_of_two_conflicting_proposals_the_later_arrival_wins():
     craft = parts()
     a, b, _ = craft.values()
     a.arrival, b.arrival = 3.0, 5.0
@@ -111,7 +111,7 @@ def test_of_two_crossing_proposals_the_craft_that_arrives_last_goes_first():
     assert b.message(0.02).refused == {"a": 1}
 
 
-def test_a_withdrawn_proposal_no_longer_takes_room():
+def test_a_withdrawn_proposal_frees_its_space():
     a, b, _ = parts().values()
     a.propose(straight(STARTS["a"], (0.0, 0.0, 0.0), 1.0), 1.0)
     b.receive(a.message(0.0), 0.01)
@@ -130,7 +130,7 @@ def test_an_old_message_that_arrives_late_changes_nothing():
     assert b.message(0.3).accepted == {"a": 1}
 
 
-def test_a_craft_that_died_does_not_hold_up_the_others():
+def test_a_dead_craft_does_not_block_the_others():
     a, b, _ = parts().values()
     a.propose(straight(STARTS["a"], (-0.4, 0.2, 0.0), 2.0), 2.0)
     b.receive(a.message(0.9), 0.9)
@@ -147,7 +147,7 @@ PATH = FIELDS["agreed"][1]
 BACKWARDS = {key: [[-1], [0], [0]] for key in ("durations", "accelerations")}
 
 
-def test_a_message_survives_the_wire_to_the_bit():
+def test_a_message_round_trips_exactly():
     again = Letter.read(LETTER.text())
     assert (again.epoch_ns, again.start_ns, again.ready) == (10**18, 10**18 + 5, True)
     assert again.opening == LETTER.opening
@@ -156,13 +156,13 @@ def test_a_message_survives_the_wire_to_the_bit():
         np.testing.assert_array_equal(getattr(path, field), getattr(other, field))
 
 
-def test_on_another_clock_the_same_place_is_reached_at_the_same_moment():
+def test_craft_with_different_clocks_arrive_at_the_same_moment():
     later = on_clock(MESSAGE, 7.0).agreed.path
     times = np.linspace(3.0, 5.0, 20)
     np.testing.assert_allclose(MESSAGE.agreed.path.places(times), later.places(times + 7.0))
 
 
-def test_the_digest_tells_paths_of_other_models_apart():
+def test_the_digest_distinguishes_paths_of_different_models():
     assert digest(FLEET.opening) == digest(airpuck.read_fleet("into_square").opening)
     assert digest(FLEET.opening) != digest(airpuck.read_fleet("into_line").opening)
 
@@ -180,12 +180,12 @@ def test_the_digest_tells_paths_of_other_models_apart():
         {"message": {**FIELDS, "agreed": [0, PATH | BACKWARDS]}},
     ],
 )
-def test_garbage_is_refused(change):
+def test_garbage_is_rejected(change):
     with pytest.raises(ValueError, match="not a message of a craft"):
         Letter.read(json.dumps({**json.loads(LETTER.text()), **change}))
 
 
 @pytest.mark.parametrize("text", ["", "[" * 90_000, "7", "x" * 200_000])
-def test_text_that_is_no_message_is_refused(text):
+def test_malformed_messages_are_rejected(text):
     with pytest.raises(ValueError, match=r"not a message|longer than"):
         Letter.read(text)

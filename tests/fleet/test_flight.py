@@ -22,7 +22,7 @@ def crossing(count, radius=(0.7, 0.4), **scenario):
     return Fleet(Scenario(craft=craft, network=LOSSY, **scenario))
 
 
-def test_three_craft_cross_and_nobody_touches():
+def test_three_craft_cross_without_contact():
     flight = airpuck.fly_together(crossing(3))
     assert flight.settled < 6
     assert not flight.contacts
@@ -32,7 +32,7 @@ def test_three_craft_cross_and_nobody_touches():
     assert np.abs(flight.poses[-1] - goals).max() < 0.1
 
 
-def test_motors_that_cannot_start_again_do_not_take_a_craft_off_its_path():
+def test_motors_that_cannot_restart_do_not_divert_a_craft():
     fleet = crossing(2)
     starts = Starts(rest_s=(0.0, 1.0), failed=(1.0, 0.0), lasting_s=1.0)
     fleet.settings = fleet.settings.model_copy(update={"starts": starts})
@@ -42,13 +42,13 @@ def test_motors_that_cannot_start_again_do_not_take_a_craft_off_its_path():
     assert not flight.contacts
 
 
-def test_a_flight_repeats_with_its_seed():
+def test_a_seed_reproduces_a_flight():
     one, other = (airpuck.fly_together(crossing(2, duration_s=1.2), seed=3) for _ in range(2))
     np.testing.assert_array_equal(one.poses, other.poses)
 
 
 @pytest.mark.slow
-def test_four_craft_move_on_around_a_ring_where_each_goal_is_taken():
+def test_four_craft_rotate_around_a_ring_of_occupied_goals():
     places = 0.2 * np.column_stack(
         [np.cos(np.arange(4) * np.pi / 2), np.sin(np.arange(4) * np.pi / 2)]
     )
@@ -62,7 +62,7 @@ def test_four_craft_move_on_around_a_ring_where_each_goal_is_taken():
 
 
 @pytest.mark.slow
-def test_two_craft_change_places_where_they_can_only_just_pass(tmp_path):
+def test_two_craft_swap_places_where_they_can_barely_pass(tmp_path):
     (tmp_path / "narrow.toml").write_text("[table]\nwidth_m = 0.46\nlength_m = 1.6\n")
     craft = (
         FleetCraft(name="a", start=(-0.6, 0.0, 0.0), goal=(0.6, 0.0, 0.0)),
@@ -75,7 +75,7 @@ def test_two_craft_change_places_where_they_can_only_just_pass(tmp_path):
 
 
 @pytest.mark.slow
-def test_the_others_arrive_untouched_when_one_dies_at_rest():
+def test_the_others_arrive_without_contact_if_one_dies_at_rest():
     fleet = crossing(4, deaths=(Death(craft="h1", time_s=0.05),), duration_s=8.0)
     flight = airpuck.fly_together(fleet)
     live = [k for k, name in enumerate(flight.names) if name != "h1"]

@@ -30,18 +30,18 @@ def strayed(strength, later):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("strength", "later"), [(1.05, 0.003), (0.95, 0.003), (0.95, -0.003)])
-def test_a_craft_that_is_wrong_as_assumed_stays_within_its_margin(strength, later):
+def test_a_craft_with_the_assumed_error_stays_within_its_margin(strength, later):
     off, margin = strayed(strength, later)
     assert off < margin
 
 
 @pytest.mark.slow
-def test_a_craft_that_is_much_weaker_than_assumed_leaves_its_margin():
+def test_a_much_weaker_craft_leaves_its_margin():
     off, margin = strayed(0.6, 0.02)
     assert off > margin
 
 
-def test_a_later_response_and_a_harder_push_need_more_margin():
+def test_a_later_response_or_harder_push_needs_more_margin():
     tuning = tuning_for(MODEL)
     assert tracking_margin(MODEL, tuning, 2.0) > tracking_margin(MODEL, tuning, 1.0)
     early, late = responses(tuning, 0.01), responses(tuning, 0.08)
@@ -49,7 +49,7 @@ def test_a_later_response_and_a_harder_push_need_more_margin():
     assert early[1] < late[1]
 
 
-def test_the_response_to_a_velocity_begins_as_if_nobody_acted():
+def test_a_velocity_error_first_grows_without_feedback():
     # Before a command can act, an impulse of 1 m/s has moved the craft by the delay.
     period = tuning_for(MODEL).period_s
     _, change = responses(tuning_for(MODEL), 20 * period)

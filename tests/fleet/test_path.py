@@ -49,7 +49,7 @@ def test_braking_always_ends_at_rest_at_the_target(offset, rate, push, fastest):
     assert speed == pytest.approx(0.0, abs=1e-6)
 
 
-def test_a_path_moves_as_its_pieces_say_and_then_rests():
+def test_a_path_follows_its_segments_and_then_rests():
     path = one_way(begin=5.0)
     motion = path.moved(np.array([4.0, 5.5, 6.0, 7.0, 99.0]))
     np.testing.assert_allclose(motion.pose[:, 0], [0.0, 0.125, 0.5, 1.0, 1.0])
@@ -59,7 +59,7 @@ def test_a_path_moves_as_its_pieces_say_and_then_rests():
     assert path.push == pytest.approx(1.0)
 
 
-def test_the_followed_state_is_the_mean_of_the_path_before():
+def test_the_followed_state_is_the_recent_mean_of_the_path():
     reference = Following(one_way())
     for now in (0.02, 0.7, 1.01, 2.03, 4.0):
         before = np.linspace(now - SMOOTHED, now, 20001)
@@ -69,7 +69,7 @@ def test_the_followed_state_is_the_mean_of_the_path_before():
         np.testing.assert_allclose(target.state[3:], mean.rate.mean(axis=0), atol=1e-4)
 
 
-def test_a_continuation_agrees_with_the_path_up_to_where_it_leaves_it():
+def test_a_continuation_agrees_with_the_path_until_it_branches():
     path = one_way()
     start = path.moved(np.array([0.6]))
     durations, accelerations = braked(

@@ -32,19 +32,19 @@ def test_every_packaged_scenario_can_be_read(name):
         ((A, {**B, "goal": None}), {"formation": ((0, 0, 0), (0.3, 0.3, 0))}, "1 craft without"),
     ],
 )
-def test_a_mistake_is_named_in_one_line(craft, scenario, words):
+def test_a_mistake_ends_in_one_line(craft, scenario, words):
     with pytest.raises(airpuck.InputError, match=words):
         fleet(*craft, **scenario)
 
 
-def test_each_craft_takes_the_pose_of_the_formation_that_makes_the_ways_short():
+def test_formation_poses_are_assigned_to_minimise_travel():
     left, right = {**A, "goal": None}, {**B, "goal": None}
     flown = fleet(left, right, formation=((0.4, 0.1, 0.0), (-0.4, 0.1, 0.0)))
     np.testing.assert_allclose(flown.member("a").goal(0.0)[:2], (-0.4, 0.1))
     np.testing.assert_allclose(flown.member("b").goal(0.0)[:2], (0.4, 0.1))
 
 
-def test_goals_apply_each_from_its_time_on():
+def test_each_goal_applies_from_its_time():
     flown = fleet({**A, "goals": ((0.0, 0.0, 0.0, 0.0), (3.0, 0.4, 0.1, 1.0))})
     np.testing.assert_allclose(flown.member("a").goal(2.9), (0.0, 0.0, 0.0))
     np.testing.assert_allclose(flown.member("a").goal(3.0), (0.4, 0.1, 1.0))
@@ -62,18 +62,18 @@ def test_goals_apply_each_from_its_time_on():
         ('[[craft]]\nname = "a"\nstart = [0, 0, 0]\n[network]\nloss = 2', "loss"),
     ],
 )
-def test_a_file_with_a_mistake_is_refused_by_name(tmp_path, text, words):
+def test_an_invalid_file_is_rejected_by_name(tmp_path, text, words):
     path = tmp_path / "fleet.toml"
     path.write_text(text)
     with pytest.raises(airpuck.InputError, match=words):
         airpuck.read_fleet(path)
 
 
-def test_an_unknown_scenario_is_answered_with_those_there_are():
+def test_an_unknown_scenario_lists_the_known_ones():
     with pytest.raises(airpuck.InputError, match="into_square"):
         airpuck.read_fleet("into_sqare")
 
 
-def test_a_craft_turns_to_its_goal_the_shorter_way_round():
+def test_a_craft_takes_the_shorter_rotation_to_its_goal():
     flown = fleet({**A, "start": (-0.5, 0.0, 3.0), "goal": (0.5, 0.0, -3.0)})
     np.testing.assert_allclose(flown.member("a").goal(0.0)[2], 2 * np.pi - 3.0)

@@ -22,12 +22,12 @@ def found(seed, *taken):
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_a_slow_craft_goes_straight_to_a_goal_that_is_free(seed):
+def test_a_slow_craft_goes_straight_to_a_free_goal(seed):
     np.testing.assert_allclose(found(seed).rest, TO, atol=1e-9)
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_a_path_keeps_to_the_speed_and_clear_of_a_craft_near_its_end(seed):
+def test_a_path_keeps_its_speed_and_avoids_a_craft_near_its_end(seed):
     other = Taken(Route.at_rest(0.0, (0.55, 0.0, 0.0)), 0.2)
     path = found(seed, other)
     motion = path.moved(np.arange(0.0, 40.0, 0.01))
@@ -48,7 +48,7 @@ def journeys(goals):
     ]
 
 
-def test_craft_that_change_places_get_paths_that_keep_their_distance():
+def test_swapping_craft_get_paths_that_keep_apart():
     goals = PLACES[[3, 2, 1, 0]]
     paths = opening(journeys(goals), [Taken(Route.at_rest(0.0, (0.0, 0.0, 0.0)), 0.05)], Table())
     times = np.linspace(0.0, max(path.end for path in paths), 3000)
@@ -61,7 +61,7 @@ def test_craft_that_change_places_get_paths_that_keep_their_distance():
         assert np.hypot(*(one - other)[:, :2].T).min() >= 2 * REACH.room - 1e-9
 
 
-def test_all_craft_compute_the_same_paths():
+def test_every_craft_computes_the_same_paths():
     goals = PLACES[[3, 2, 1, 0]]
     one, other = (opening(journeys(goals), [], Table()) for _ in range(2))
     for path, again in zip(one, other, strict=True):
@@ -70,7 +70,7 @@ def test_all_craft_compute_the_same_paths():
 
 
 @pytest.mark.slow
-def test_all_rest_if_one_cannot_get_to_its_goal():
+def test_all_craft_rest_if_one_cannot_reach_its_goal():
     goals = PLACES[[3, 2, 1, 0]]
     walled = [Taken(Route.at_rest(0.0, (*goals[0, :2], 0.0)), 0.02)]
     # The start of the last craft lies within the same disc, so only the first may move at all.
@@ -79,7 +79,7 @@ def test_all_rest_if_one_cannot_get_to_its_goal():
 
 
 @pytest.mark.parametrize("far", [0.3, 0.9])
-def test_a_craft_alone_needs_no_longer_than_the_best_motion(far):
+def test_a_single_craft_takes_the_shortest_time(far):
     start = Route.at_rest(0.0, (-far / 2, 0.0, 0.0))
     (path,) = opening([Journey(REACH, start, np.array([far / 2, 0.0, 0.0]))], [], Table())
     # From rest to rest on a line: accelerate, coast at the largest speed, brake.

@@ -61,7 +61,7 @@ def faulty(plant):
 
 
 @pytest.mark.slow
-def test_a_healthy_craft_is_not_alarmed(plant):
+def test_a_healthy_craft_raises_no_alarm(plant):
     healthy = flown(plant, default_twin_settings(), HEALTHY, seed=2)
     told = watched(healthy, 3.0, 4.0, monitor=HealthMonitor(MODEL))
     assert told[-1].predictions > 40
@@ -73,7 +73,7 @@ def test_a_healthy_craft_is_not_alarmed(plant):
 
 
 @pytest.mark.slow
-def test_a_propeller_that_weakens_in_flight_and_a_longer_delay_are_named(faulty):
+def test_a_weakening_propeller_and_a_longer_delay_are_named(faulty):
     before, after = watched(faulty, FAULT, monitor=HealthMonitor(MODEL))
     assert not set(before.names) & set(NAMES)
     assert set(after.names) == {WEAK, "delay"}
@@ -88,7 +88,7 @@ def test_a_propeller_that_weakens_in_flight_and_a_longer_delay_are_named(faulty)
     assert of_delay.standard_error < 0.003
 
 
-def test_little_excitation_is_no_evidence():
+def test_little_excitation_is_not_evidence():
     """A loss that would be certain without its standard error, and a small one."""
     errors = (
         ModelError("delay", 0.0, 0.005, 0.005, False, 1.0, 0.2),
@@ -109,7 +109,7 @@ def test_little_excitation_is_no_evidence():
 
 
 @pytest.mark.slow
-def test_errors_are_those_of_an_evaluation(faulty):
+def test_errors_match_an_offline_evaluation(faulty):
     """Against offline evaluation, with an encoder of its own, on a model that is wrong."""
     wrong = scaled(MODEL, 1.3)
     error = watched(faulty, monitor=HealthMonitor(wrong, memory=100.0))[-1].error
@@ -117,7 +117,7 @@ def test_errors_are_those_of_an_evaluation(faulty):
     np.testing.assert_allclose(error, offline, rtol=0.35)
 
 
-def test_says_nothing_without_commands_or_at_a_rail():
+def test_without_commands_or_at_a_rail_there_is_no_verdict():
     silent = HealthMonitor(MODEL, compiled=False)
     for k in range(100):
         silent.pose(k / 240, np.zeros(3))
@@ -132,7 +132,7 @@ def test_says_nothing_without_commands_or_at_a_rail():
     assert np.isnan(leaning.health().to_json()["rmse_m_m_rad"]).all()
 
 
-def test_what_is_not_finite_is_left_aside():
+def test_non_finite_inputs_are_ignored():
     monitor = HealthMonitor(MODEL, compiled=False)
     for k in range(20):
         monitor.command(k / 240, np.full(6, 0.03))
@@ -142,7 +142,7 @@ def test_what_is_not_finite_is_left_aside():
     assert monitor.health().flying
 
 
-def test_deviations_of_a_linear_world():
+def test_deviations_are_correct_in_a_linear_world():
     """With errors drawn as assumed, the estimates have the stated standard deviations."""
     random = np.random.default_rng(0)
     truth, motors = np.array([-0.12, 0.05, 0.006]), 2

@@ -84,7 +84,7 @@ def pose(stamp, x=0.0):
     return Measurement("pose", stamp, np.array([x, 0.0, 0.0]))
 
 
-def test_every_tenth_prediction_is_kept_and_what_each_step_took():
+def test_every_tenth_prediction_and_all_step_times_are_kept():
     plan = Prediction(np.array([0.1]), np.zeros((1, 6)), ())
 
     class Predicts(FakePilot):
@@ -98,7 +98,7 @@ def test_every_tenth_prediction_is_kept_and_what_each_step_took():
     assert log.took.shape == (35,) and (log.took >= 1e-3).all()
 
 
-def test_the_period_does_not_drift_though_the_link_is_late():
+def test_the_period_does_not_drift_if_the_link_is_late():
     link = LateLink()
     fly(FakePilot(), link, 1.0)
     np.testing.assert_allclose(link.waits, 0.01 * np.arange(101), atol=1e-12)
@@ -116,7 +116,7 @@ def test_a_command_is_sent_every_period(duration, period, count):
     assert link.now == pytest.approx(duration)
 
 
-def test_a_flight_begins_at_the_links_present():
+def test_a_flight_starts_at_the_time_of_the_link():
     link, pilot = FakeLink(now=50.0), FakePilot()
     log = fly(pilot, link, 0.5)
     assert log.time[0] == 50.0
@@ -124,7 +124,7 @@ def test_a_flight_begins_at_the_links_present():
     assert pilot.told("step")[0] == (50.0, ())
 
 
-def test_each_measurement_is_told_once_in_order_and_before_the_step_after_its_arrival():
+def test_measurements_are_delivered_once_in_order_before_the_next_step():
     rng = np.random.default_rng(0)
     arrivals = np.sort(rng.uniform(0, 0.985, 200))
     link, pilot = FakeLink([(t, pose(t - 0.001, x=k)) for k, t in enumerate(arrivals)]), FakePilot()
@@ -139,7 +139,7 @@ def test_each_measurement_is_told_once_in_order_and_before_the_step_after_its_ar
             assert 0.01 * steps < stamp + 0.001 <= 0.01 * (steps + 1) + 1e-9
 
 
-def test_what_is_sent_is_what_the_pilot_computed_and_it_is_told_so():
+def test_the_pilot_is_told_the_command_that_was_sent():
     link, pilot = FakeLink(), FakePilot()
     log = fly(pilot, link, 0.1)
     for k, (time, command) in enumerate(link.sent):
@@ -151,7 +151,7 @@ def test_what_is_sent_is_what_the_pilot_computed_and_it_is_told_so():
     assert log.status == (*("no pose", "exact", "scaled") * 3, "no pose")
 
 
-def test_a_reference_is_announced_when_it_changes_and_only_then():
+def test_a_reference_is_announced_only_when_it_changes():
     reference = SetPoints([0.0, 0.305, 0.6], [(0, 0, 0), (1, 0.3, 1.5), (0.5, -0.3, -1)])
     link = FakeLink()
     log = fly(FakePilot(reference), link, 1.0)
@@ -172,7 +172,7 @@ def test_a_rendezvous_is_announced_as_the_state_to_reach():
     np.testing.assert_array_equal(after, [0, 0, 0.3, 0, 0, 0])
 
 
-def test_a_pilot_is_told_of_what_it_watches_and_of_sensors_on_board_if_asked_for():
+def test_a_pilot_receives_watched_bodies_and_requested_onboard_sensors():
     heard = [
         (0.02, Measurement("imu", 0.015, np.array([1, 2, 9.81, 4, 5, 6.0]))),
         (0.03, Measurement("mouse", 0.025, np.array([0.7, 0.8]))),
@@ -212,7 +212,7 @@ class Used(TrackingController):
 
 
 @pytest.mark.slow
-def test_sensors_of_different_latencies_fly_together():
+def test_sensors_with_different_latencies_work_together():
     late, less = {"latency_s": 0.02}, {"latency_s": 0.01}
     settings = changed(default_twin_settings(), motion_capture=late, on_board=less)
     model = read_model("paper:M4")
@@ -225,7 +225,7 @@ def test_sensors_of_different_latencies_fly_together():
 
 
 @pytest.mark.slow
-def test_without_poses_sensors_on_board_keep_nothing_in_flight():
+def test_onboard_sensors_alone_do_not_keep_a_craft_flying():
     settings = changed(default_twin_settings(), motion_capture={"gaps_s": ((1.0, 2.0),)})
     model = read_model("paper:M4")
     pilot = TrackingController(model, SetPoint(0.1, 0.0, 0.0))
@@ -235,7 +235,7 @@ def test_without_poses_sensors_on_board_keep_nothing_in_flight():
     assert np.isin(status[(log.time > 2.03) | (np.abs(log.time - 0.5) < 0.4)], FLYING).all()
 
 
-def test_a_failing_pilot_is_not_hidden():
+def test_errors_of_a_pilot_propagate():
     class Broken(FakePilot):
         def step(self, time):
             raise RuntimeError("broken")
@@ -244,7 +244,7 @@ def test_a_failing_pilot_is_not_hidden():
         fly(Broken(), FakeLink(), 0.1)
 
 
-def test_what_comes_early_is_told_early_and_nothing_twice():
+def test_measurements_are_delivered_in_order_and_once():
     stamps = [0.001, 0.007, 0.009, 0.0195]
     link, pilot = FakeLink([(stamp, pose(stamp)) for stamp in stamps]), FakePilot()
     actions = list(control(pilot, link, 0.03, early=0.002))
@@ -253,7 +253,7 @@ def test_what_comes_early_is_told_early_and_nothing_twice():
     assert [time for time, _ in pilot.told("pose")] == stamps
 
 
-def test_periods_that_a_flight_slept_through_are_left_out():
+def test_periods_during_a_suspension_are_skipped():
     class SleptLink(FakeLink):
         def wait_until(self, time):
             return super().wait_until(max(time, self.now))
@@ -267,7 +267,7 @@ def test_periods_that_a_flight_slept_through_are_left_out():
     assert due == pytest.approx([0, 0.01, 0.02, 0.06, 0.07, 0.08, 0.09])
 
 
-def test_a_log_measures_how_each_set_point_was_reached():
+def test_a_log_measures_how_well_each_set_point_was_reached():
     points = SetPoints([0.0, 0.2, 2.5], [(0, 0, 0), (0.3, 0.1, 0.5), (0.1, 0.1, 0.5)])
     log = track(read_model("paper:M3"), points, 5.0, seed=1)
     found = log.metrics()
@@ -284,7 +284,7 @@ def test_a_log_measures_how_each_set_point_was_reached():
     assert repr(log).startswith("FlightLog(500 commands in 5.0 s")
 
 
-def test_a_flight_that_nobody_recorded_has_no_metrics():
+def test_an_unrecorded_flight_has_no_metrics():
     controller = TrackingController(read_model("paper:M3"), SetPoint(0.0, 0.0, 0.0))
     log = fly(controller, Twin(read_model("paper:M3")), 0.1)
     with pytest.raises(InputError, match=r"not recorded; a twin has its own, twin\.recording"):
@@ -307,7 +307,7 @@ class SlowClock:
 @pytest.mark.parametrize(
     ("step", "watched", "told"), [(3.0, True, True), (3.0, False, False), (0.001, True, False)]
 )
-def test_a_slow_flight_reports_the_time_left_to_whoever_watches(
+def test_a_slow_flight_shows_the_remaining_time_on_a_terminal(
     monkeypatch, capsys, step, watched, told
 ):
     monkeypatch.setattr("time.monotonic", SlowClock(step))

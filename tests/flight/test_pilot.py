@@ -34,7 +34,7 @@ def test_the_example_is_short():
 
 
 @pytest.mark.slow
-def test_it_flies_by_name_from_the_command_line(file, tmp_path):
+def test_a_user_pilot_flies_by_name_from_the_command_line(file, tmp_path):
     points = tmp_path / "points.toml"
     points.write_text("setpoints = [{at_s = 0.5, x_m = 0.2, y_m = 0.1, yaw_rad = 0.3}]")
     ran = command_line.airpuck(
@@ -50,7 +50,7 @@ def test_it_flies_by_name_from_the_command_line(file, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_pilot_whose_commands_are_clipped_is_warned_of_and_named(file, tmp_path):
+def test_a_pilot_with_clipped_commands_is_warned_about_by_name(file, tmp_path):
     file.write_text(SPRING.replace("(np.clip(", "(1.9 * np.clip("))
     points = tmp_path / "points.toml"
     points.write_text("setpoints = [{at_s = 0.2, x_m = 0.8, y_m = 0.3, yaw_rad = 3.0}]")
@@ -71,7 +71,7 @@ def pilot(**changes):
     return type("Mine", (airpuck.Pilot,), methods)()
 
 
-def test_what_inherits_from_pilot_needs_only_a_step():
+def test_a_subclass_of_pilot_needs_only_step():
     check_pilot(pilot())
     assert pilot().reference.at(0.0, 0.0).state[:3].tolist() == [0, 0, 0]
     check_pilot(airpuck.TrackingController(M3, airpuck.SetPoint(0, 0, 0)))
@@ -89,7 +89,7 @@ def test_what_inherits_from_pilot_needs_only_a_step():
         (pilot(watches=("pukc",)), "must have `watches`"),
     ],
 )
-def test_what_is_no_pilot_is_refused_before_it_flies(wrong, problem):
+def test_an_invalid_pilot_is_rejected_before_the_flight(wrong, problem):
     with pytest.raises(InputError, match="pilot") as refused:
         check_pilot(wrong)
     assert problem in str(refused.value)
@@ -110,7 +110,7 @@ def test_what_is_no_pilot_is_refused_before_it_flies(wrong, problem):
         ),
     ],
 )
-def test_a_wrong_command_is_refused(step, problem):
+def test_an_invalid_command_is_rejected(step, problem):
     with pytest.raises(InputError) as refused:
         airpuck.fly(pilot(step=step), airpuck.Twin(M3), 0.1)
     assert problem in str(refused.value)
@@ -124,7 +124,7 @@ def test_commands_slightly_out_of_range_are_clipped_with_a_warning():
 
 
 @pytest.mark.parametrize("lost", [None, 5, airpuck.PuckState(0, 0)])
-def test_a_reference_that_is_lost_in_flight_is_named(lost):
+def test_a_reference_lost_in_flight_is_named(lost):
     def step(self, time):
         typechecker.pause()
         self.reference = lost
@@ -134,7 +134,7 @@ def test_a_reference_that_is_lost_in_flight_is_named(lost):
         airpuck.fly(pilot(step=step), airpuck.Twin(M3), 0.05)
 
 
-def test_a_reference_that_is_not_finite_is_named():
+def test_a_non_finite_reference_is_named():
     class Lost:
         def at(self, now, ahead):
             return Target(np.full(6, np.nan), np.zeros(3))
@@ -152,13 +152,13 @@ def test_a_reference_that_is_not_finite_is_named():
         airpuck.SetPoints([0.0], [(0, 5, 0)]),
     ],
 )
-def test_a_reference_beyond_the_table_is_refused(beyond):
+def test_a_reference_beyond_the_table_is_rejected(beyond):
     with pytest.raises(InputError, match=r"setpoint: .* is outside the table"):
         airpuck.fly(pilot(reference=beyond), airpuck.Twin(M3), 0.05)
 
 
 @pytest.mark.parametrize(("duration", "period"), [(-1.0, 0.01), (1.0, 0.0), (1.0, 10.0)])
-def test_a_flight_lasts_for_a_period_at_least(duration, period):
+def test_a_flight_lasts_at_least_one_period(duration, period):
     with pytest.raises(InputError, match="period: must be above 0 and at most the duration"):
         airpuck.fly(pilot(), airpuck.Twin(M3), duration, period)
 
@@ -177,7 +177,7 @@ def test_a_flight_lasts_for_a_period_at_least(duration, period):
         ),
     ],
 )
-def test_a_wrong_file_is_refused(tmp_path, text, name, problem):
+def test_an_invalid_file_is_rejected(tmp_path, text, name, problem):
     path = tmp_path / "my_pilot.py"
     path.write_text(textwrap.dedent(text))
     with pytest.raises(InputError) as refused:

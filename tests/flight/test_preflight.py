@@ -77,7 +77,7 @@ def wrong(found: Preflight) -> list[str]:
     return [check.name for check in found.checks if check.verdict == "wrong"]
 
 
-def test_disturbed_pulses_and_failed_starts_are_left_out():
+def test_disturbed_pulses_and_failed_starts_are_ignored():
     def pulse(motor, turn, misfit):
         return PulseResponse(motor, np.array([0, 0, turn]), 0, misfit, np.zeros(1), np.eye(3))
 
@@ -91,7 +91,7 @@ def test_disturbed_pulses_and_failed_starts_are_left_out():
     assert sound_pulses(both, 0.05, 0.5)[0] == both
 
 
-def test_moments_count_by_the_acceleration_at_the_radius_of_gyration():
+def test_moments_are_weighted_by_the_radius_of_gyration():
     push = PulseResponse(0, np.array([0.1, 0, 0]), 0, 1.0, np.zeros(1), np.eye(3))
     turn = replace(push, effect=np.array([0, 0, 1.0]))
     assert sound_pulses([push, turn], 0.1, 0.9)[0] == [push, turn]
@@ -136,7 +136,7 @@ def only(motor, share):
 
 
 @pytest.mark.slow
-def test_a_motor_that_stands_and_a_weak_one_are_told_apart():
+def test_a_dead_motor_is_distinguished_from_a_weak_one():
     dead = fly_pulses(only(2, 0.0))
     assert wrong(dead) == [NAMES[2]]
     assert "does nothing" in words(dead, NAMES[2])
@@ -146,7 +146,7 @@ def test_a_motor_that_stands_and_a_weak_one_are_told_apart():
 
 
 @pytest.mark.slow
-def test_the_delay_is_that_of_motors_that_do_something():
+def test_the_delay_is_taken_from_motors_that_respond():
     """Five of six stand still; the delay that best fits their noise is arbitrary."""
     found = fly_pulses(lambda u: np.where(np.arange(6) == 1, u, IDLE))
     assert found.delay == pytest.approx(MODEL.transport_delay, abs=8e-3)
@@ -170,7 +170,7 @@ def test_the_delay_is_that_of_motors_that_do_something():
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )
-def test_what_is_wrong_is_one_cause_not_six(flown, scale, pose, name, says):
+def test_each_error_is_reported_as_a_single_cause(flown, scale, pose, name, says):
     time, poses, *commands = flown
     found = judge_pulses(scaled(MODEL, scale), time, pose(poses), *commands)
     assert wrong(found) == [name]
@@ -182,14 +182,14 @@ def test_what_is_wrong_is_one_cause_not_six(flown, scale, pose, name, says):
     ("unit", "factor", "x"),
     [("millimetres", 1e3, 0.2), ("centimetres", 1e2, -0.05), ("millimetres", 1e3, 0.0)],
 )
-def test_units_that_put_the_craft_off_the_table_are_said(unit, factor, x):
+def test_wrong_units_that_put_the_craft_off_the_table_are_reported(unit, factor, x):
     found = preflight_live_like(lambda p: p * [factor, factor, 1], (x, 0.0, 0.4))
     assert wrong(found) == ["units"]
     assert unit in words(found, "units")
 
 
 @pytest.mark.slow
-def test_degrees_are_said_of_a_guarded_test():
+def test_yaw_in_degrees_is_reported_by_a_guarded_test():
     found = preflight_live_like(lambda p: p * [1, 1, 180 / np.pi], (0.001, 0.002, 0.4))
     assert "degrees" in words(found, "units")
 
@@ -203,7 +203,7 @@ def preflight_live_like(pose, start) -> Preflight:
     return judge_test(pilot, MODEL)
 
 
-def test_a_small_misalignment_is_left_to_a_fit(flown):
+def test_a_small_misalignment_is_accepted(flown):
     time, pose, *commands = flown
     for angle, ready in ((0.6, False), (-0.2, True)):
         found = judge_pulses(MODEL, time, np.add(pose, [0, 0, angle]), *commands)
@@ -211,7 +211,7 @@ def test_a_small_misalignment_is_left_to_a_fit(flown):
 
 
 @pytest.mark.parametrize(("later", "verdict"), [(0.015, "look"), (0.06, "wrong")])
-def test_another_transport_delay_is_said(flown, later, verdict):
+def test_a_different_transport_delay_is_reported(flown, later, verdict):
     time, *rest = flown
     found = judge_pulses(MODEL, time + later, *rest)
     last = found.checks[-1]
@@ -219,7 +219,7 @@ def test_another_transport_delay_is_said(flown, later, verdict):
     assert found.delay == pytest.approx(judge_pulses(MODEL, *flown).delay + later, abs=2e-3)
 
 
-def test_nothing_moves(flown):
+def test_a_craft_that_does_not_move_is_reported(flown):
     time, pose, *commands = flown
     still = np.random.default_rng(0).normal(pose[0], [5e-5, 5e-5, 6e-4], pose.shape)
     found = judge_pulses(MODEL, time, still, *commands)
@@ -229,7 +229,7 @@ def test_nothing_moves(flown):
     assert "never change" in words(frozen, "poses")
 
 
-def test_poses_at_60_hz_suffice_and_slower_ones_are_refused(flown):
+def test_poses_at_60_hz_suffice_and_slower_ones_are_rejected(flown):
     time, pose, *commands = flown
     assert "at least 50" in words(judge_pulses(MODEL, time[::8], pose[::8], *commands), "poses")
     found = judge_pulses(MODEL, time[::4], pose[::4], *commands)
@@ -238,7 +238,7 @@ def test_poses_at_60_hz_suffice_and_slower_ones_are_refused(flown):
     assert found.strength == pytest.approx(judge_pulses(MODEL, *flown).strength, abs=0.3)
 
 
-def test_a_motor_that_failed_to_start_once_is_not_called_weak(flown):
+def test_one_failed_start_does_not_make_a_motor_weak(flown):
     time, pose, at, command = flown
     pulses = find_pulses(at, command, IDLE)
     # A pulse that was sent while nothing moved: a copy of an idle stretch's poses, before the test.
@@ -260,7 +260,7 @@ def test_a_motor_that_failed_to_start_once_is_not_called_weak(flown):
     assert found.strength[motor] == pytest.approx(whole.strength[motor], abs=0.1)
 
 
-def test_only_the_named_motors_are_tried():
+def test_only_the_named_motors_are_tested():
     pilot = PulseTest(MODEL.vehicle, motors=[1, 4])
     twin = Twin(MODEL, seed=3, plant=PLANT)
     log = fly(pilot, twin, pilot.duration)
@@ -268,7 +268,7 @@ def test_only_the_named_motors_are_tried():
 
 
 @pytest.mark.slow
-def test_no_poses_and_poses_that_stop():
+def test_missing_and_interrupted_poses_are_reported():
     assert wrong(fly_pulses(pose=lambda _: None)) == ["poses"]
     come = iter(range(300))
     found = fly_pulses(pose=lambda p: p if next(come, None) is not None else None)
@@ -279,13 +279,13 @@ def test_no_poses_and_poses_that_stop():
 
 
 @pytest.mark.slow
-def test_garbage_among_the_poses_is_left_out():
+def test_invalid_poses_are_ignored():
     turn = iter(range(10_000))
     assert fly_pulses(pose=lambda p: np.full(3, np.nan) if next(turn) % 7 == 0 else p).ready
 
 
 @pytest.mark.slow
-def test_another_craft():
+def test_a_four_propeller_craft_is_ready():
     quad = nominal_model(four_propellers())
     found = preflight(Twin(quad, seed=3), quad)
     assert found.ready, found.checks
@@ -294,7 +294,7 @@ def test_another_craft():
 # The pilot ----------------------------------------------------------------------------------------
 
 
-def test_one_motor_at_a_time_and_partners_in_turn():
+def test_motors_are_pulsed_one_at_a_time_alternating_partners():
     pilot = PulseTest(MODEL.vehicle)
     sent = []
     for k in range(round(pilot.duration / 0.01)):
@@ -326,7 +326,7 @@ def test_a_rest_just_before_counts_as_the_first_pause(rested):
     assert pilot.poses[0][0] == pytest.approx(max(rested - rest, 0.0), abs=0.011)
 
 
-def test_it_idles_at_a_rail_and_for_good():
+def test_at_a_rail_the_motors_idle_for_good():
     pilot = PulseTest(MODEL.vehicle)
     for k, x in enumerate([0.0, 1.02, 0.0]):
         pilot.pose(0.35 + 0.01 * k, [x, 0, 0])
@@ -338,7 +338,7 @@ def test_it_idles_at_a_rail_and_for_good():
 @pytest.mark.parametrize(
     "plan", [{"level": 0.0}, {"level": 1.1}, {"length": 5.0}, {"rest": 0.1}, {"rounds": 0}]
 )
-def test_plans_out_of_range_are_refused(plan):
+def test_plans_out_of_range_are_rejected(plan):
     with pytest.raises(InputError):
         PulsePlan(**plan)
     with pytest.raises(InputError, match="idle"):
@@ -352,7 +352,7 @@ def test_plans_out_of_range_are_refused(plan):
 @pytest.mark.parametrize(
     ("lag", "delay", "length", "error"), [(0.04, 0.02, 0.1, 0.0), (0.12, 0.07, 0.2, 0.03)]
 )
-def test_the_effect_is_the_models_column(lag, delay, length, error):
+def test_the_measured_effects_equal_the_columns_of_the_model(lag, delay, length, error):
     """Without noise and jitter: M(0) of the model, column by column, and the delay.
 
     A slow motor still pushes when the next pulse begins.
@@ -385,7 +385,7 @@ def test_the_effect_is_the_models_column(lag, delay, length, error):
 
 
 @pytest.mark.slow
-def test_a_recorded_test_is_judged_alike():
+def test_a_recorded_test_gets_the_same_verdict():
     twin = Twin(MODEL, seed=3, pose=(0.001, 0.002, 0.4), plant=PLANT)
     live = preflight(twin, MODEL)
     again = judge_recording(MODEL, twin.recording())
@@ -393,7 +393,7 @@ def test_a_recorded_test_is_judged_alike():
     np.testing.assert_allclose(again.strength, live.strength, rtol=0.05)
 
 
-def test_a_recording_of_other_motors_is_refused():
+def test_a_recording_with_other_motors_is_rejected():
     twin = Twin(MODEL, plant=PLANT)
     twin.send(np.full(6, IDLE))
     twin.wait_until(0.1)

@@ -74,7 +74,7 @@ def without_epoch(recording: Recording) -> Recording:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("options", [PAPER, OURS])
-def test_a_flight_of_this_controller_comes_back(plant, options):
+def test_a_flight_of_this_controller_is_reproduced(plant, options):
     weights = default_tuning().of(LQRSettings).weights
     weights = weights.model_copy(update={"position": 20.0, "yaw": 10.0})
     tuning = default_tuning().with_law("lqr", weights=weights)
@@ -95,7 +95,7 @@ def test_a_flight_of_this_controller_comes_back(plant, options):
     assert np.median(np.abs(then.computed - log.command)) < 1e-14
 
 
-def test_another_model_computes_other_commands(recording):
+def test_a_different_model_computes_different_commands(recording):
     found = replay(recording, published_model("M3"), **PAPER)
     assert np.median(np.abs(found.difference)) > 5e-3
 
@@ -108,7 +108,7 @@ def test_another_model_computes_other_commands(recording):
         (NOISY, Gains(12.0, 6.5, 11.0, 5.0), 0.01),
     ],
 )
-def test_the_gains_that_flew_are_found(plant, settings, tolerance, gains):
+def test_the_gains_that_flew_are_recovered(plant, settings, tolerance, gains):
     log = track(M4, SET_POINTS, 3.0, settings=settings, plant=plant, gain=gains.matrix(), **PAPER)
     recording = log.recording
     found = replay(recording, M4, fit_gains=True, **PAPER)
@@ -123,7 +123,7 @@ def test_the_gains_that_flew_are_found(plant, settings, tolerance, gains):
     assert mean[0] < 0.3 * mean[1]
 
 
-def test_gains_are_laid_out_as_the_state():
+def test_gains_are_in_the_order_of_the_state():
     # v = -K (x, y, γ, vx, vy, ω).
     expected = [[1, 0, 0, 2, 0, 0], [0, 1, 0, 0, 2, 0], [0, 0, 3, 0, 0, 4]]
     gains = Gains(position=1.0, speed=2.0, yaw=3.0, spin=4.0)
@@ -135,7 +135,7 @@ def test_gains_are_laid_out_as_the_state():
     ("senders", "sender_s", "recorder_s"),
     [(["pose"], 7.3, 0), (["command"], 7.3, 0), (["pose", "command"], -7.3, 0), ([], 0, -7.3)],
 )
-def test_clocks_that_differ_change_little(recording, plain, senders, sender_s, recorder_s):
+def test_different_clocks_change_little(recording, plain, senders, sender_s, recorder_s):
     stamps = {name: round(1e9 * sender_s) for name in senders}
     other = moved(recording, stamps, round(1e9 * recorder_s))
     found = replay(other, M4, **PAPER)
@@ -150,14 +150,14 @@ def test_clocks_that_differ_change_little(recording, plain, senders, sender_s, r
     np.testing.assert_allclose(times, [0.0, 0.51, 2.01], atol=0.0075)
 
 
-def test_columns_in_another_order_are_matched_by_name(recording, plain):
+def test_reordered_columns_are_matched_by_name(recording, plain):
     found = replay(shuffled(recording), M4, **PAPER)
     np.testing.assert_array_equal(found.computed, plain.computed)
     np.testing.assert_array_equal(found.sent, plain.sent)
     assert found.motors == M4.vehicle.propeller_names
 
 
-def test_commands_that_were_logged_twice_count_once(recording, plain):
+def test_commands_logged_twice_count_once(recording, plain):
     def again(stamp, received, values):
         rows = np.sort(np.append(np.arange(len(stamp)), np.arange(120, 140)))
         return stamp[rows], received[rows], values[rows]
@@ -171,7 +171,7 @@ def test_commands_that_were_logged_twice_count_once(recording, plain):
         np.testing.assert_array_equal(found.computed, plain.computed)
 
 
-def test_a_pause_of_the_poses_is_not_compared(recording):
+def test_pauses_of_the_poses_are_not_compared(recording):
     # Frames from 1.0 to 1.2 s are missing: the last is of 0.996 s, the next arrives at 1.2065 s.
     def edit(stamp, received, values):
         time = (stamp - EPOCH_NS) / 1e9
@@ -188,7 +188,7 @@ def test_a_pause_of_the_poses_is_not_compared(recording):
     assert np.isfinite([*found.correlation, *found.difference.ravel()]).all()
 
 
-def test_a_span_is_a_share_of_the_commands(recording, plain):
+def test_a_span_is_a_fraction_of_the_commands(recording, plain):
     part = replay(recording, M4, span=(0.25, 0.5), **PAPER)
     np.testing.assert_array_equal(np.flatnonzero(part.compared), np.arange(75, 150))
     np.testing.assert_array_equal(part.computed, plain.computed)
@@ -231,7 +231,7 @@ def made_up() -> Replay:
     )
 
 
-def test_figures_are_plain_statistics_of_what_is_compared():
+def test_figures_match_plain_numpy():
     found = made_up()
     sent, computed = found.sent[1:17], found.computed[1:17]
     expected = float(pearsonr(sent[:, 0], computed[:, 0])[0])  # pyright: ignore
@@ -286,30 +286,30 @@ def test_a_missing_or_empty_stream_is_named(recording, missing):
         ("reference", bad_value(1, 0, np.nan), "poses must be finite"),
     ],
 )
-def test_bad_input_is_one_clear_line(recording, stream, edit, message):
+def test_bad_input_ends_in_one_clear_line(recording, stream, edit, message):
     with pytest.raises(InputError, match=message):
         replay(edited(recording, stream, edit), M4)
 
 
 @pytest.mark.parametrize("span", [(0.5, 0.5), (0.6, 0.4), (-0.1, 0.5), (0.5, 1.1), (np.nan, 0.5)])
-def test_a_span_that_is_none_is_refused(recording, span):
+def test_an_invalid_span_is_rejected(recording, span):
     with rejected(match="two fractions", field="span"):
         replay(recording, M4, span=span)
 
 
 @pytest.mark.parametrize("span", [(0.0, 0.003), (0.5001, 0.5002)])
-def test_a_span_without_a_step_to_compare_is_refused(recording, span):
+def test_a_span_without_a_step_to_compare_is_rejected(recording, span):
     # No pose precedes the first command, and none arrives between two commands.
     with pytest.raises(InputError, match=r"not known at any command in the span; .* longer"):
         replay(recording, M4, span=span)
 
 
-def test_too_few_commands_for_the_gains_are_refused(recording):
+def test_too_few_commands_for_the_gains_are_rejected(recording):
     with rejected(match="too few commands", field="fit-gains"):
         replay(recording, M4, fit_gains=True, span=(0.5, 0.6))
 
 
-def test_a_model_of_another_craft_is_refused(recording):
+def test_a_model_of_another_craft_is_rejected(recording):
     content = default_vehicle().model_dump()
     content |= {"propellers": content["propellers"][:4], "pairs": content["pairs"][:2]}
     four = nominal_model(Vehicle.model_validate(content))
@@ -319,7 +319,7 @@ def test_a_model_of_another_craft_is_refused(recording):
 
 @pytest.mark.slow
 @pytest.mark.data
-def test_the_commands_of_the_papers_flight_come_back(data):
+def test_the_commands_of_the_papers_flight_are_reproduced(data):
     from airpuck.recording.read import read_recording
 
     flight = read_recording(data / "control_experiment" / "data_M4")

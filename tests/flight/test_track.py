@@ -44,7 +44,7 @@ def approach(t):
 TO_ONE = ([0.0], [(1.0, 0.3, 1.5)])
 
 
-def test_the_settling_time_of_an_exponential_approach():
+def test_the_settling_time_of_an_exponential_approach_is_exact():
     # x is within 20 mm after τ ln(1/0.02), y after τ ln(0.3/0.02), yaw after τ ln(1.5/0.05).
     (result,) = track(approach, TO_ONE).results()
     expected = TAU * max(np.log(1 / 0.02), np.log(0.3 / 0.02), np.log(1.5 / 0.05))
@@ -64,13 +64,13 @@ def test_the_settling_time_of_an_exponential_approach():
         (lambda t: (1.0, 0.3, 1.54), 0.0),
     ],
 )
-def test_a_craft_settles_once_all_of_its_pose_stays_within_the_tolerance(pose, expected):
+def test_a_craft_settles_once_its_whole_pose_stays_within_the_tolerance(pose, expected):
     (result,) = track(pose, TO_ONE).results()
     assert result.settling_time == pytest.approx(expected, abs=1.01 / RATE)
     assert result.to_json()["settling_time_s"] == result.settling_time
 
 
-def test_overshoot_is_seen_from_the_start():
+def test_overshoot_is_measured_along_the_step():
     # A damped oscillation: the first swing beyond is exp(-π d/w) of the step, on either side.
     damping, frequency = 2.0, 5.0
 
@@ -99,7 +99,7 @@ def test_the_steady_state_of_a_short_dwell_is_its_last_quarter():
     assert (first.stop, second.start) == (2.0, 2.0)
 
 
-def test_a_craft_that_settled_rests_within_the_tolerance():
+def test_a_settled_craft_has_a_steady_state_within_the_tolerance():
     # It arrives 0.1 s before the end: the rest must not average the way there.
     (result,) = track(lambda t: (min(1.0, 0.25 * t + 0.025), 0.3, 1.5), TO_ONE).results()
     assert result.settling_time == pytest.approx(3.82, abs=1.01 / RATE)
@@ -110,7 +110,7 @@ def test_a_craft_that_settled_rests_within_the_tolerance():
     assert late.steady_state_error[0] < -TOLERANCE[0]
 
 
-def test_the_effort_is_the_mean_of_squares_above_idle_of_its_dwell():
+def test_the_effort_is_the_mean_square_command_above_idle():
     # Two motors 0.2 above idle, then three 0.5 above it.
     command = np.full((400, 6), 0.03)
     command[:200, :2] += 0.2
@@ -122,7 +122,7 @@ def test_the_effort_is_the_mean_of_squares_above_idle_of_its_dwell():
 
 
 @pytest.mark.parametrize("turns", [-2, -1, 1, 3])
-def test_whole_turns_are_no_error(turns):
+def test_whole_turns_are_not_an_error(turns):
     def turned(t):
         x, y, yaw = approach(t)
         return x, y, yaw + 2 * np.pi * turns
@@ -139,7 +139,7 @@ def without(flight, begin, stop):
     return replace(flight, time=flight.time[kept], pose=flight.pose[kept])
 
 
-def test_without_poses_at_the_end_of_a_dwell_there_is_no_steady_state():
+def test_a_dwell_that_ends_without_poses_has_no_steady_state():
     set_points = ([0.0, 2.0], [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0)])
     whole = track(lambda t: (0.01 * t, 0.0, 0.0), set_points)
     first, second = without(whole, 1.4, 2.0).results()
@@ -165,7 +165,7 @@ STAYS = [(0.0, 0.0, 0.0), (1.0, 0.3, 1.5), (0.0, 0.0, 0.0)]
         ((0.0, 0.0, 0.0), [STAYS[0]] * 3, 0),  # nothing moves: nothing is left out
     ],
 )
-def test_the_set_point_of_the_start_is_left_out_for_what_it_is(at, poses, first):
+def test_a_set_point_at_the_start_pose_is_not_scored(at, poses, first):
     times = [0.7, 1.7, 2.7][: len(poses)]
     flight = track(lambda t: at, (times, poses))
     assert flight.first_move == first
@@ -173,7 +173,7 @@ def test_the_set_point_of_the_start_is_left_out_for_what_it_is(at, poses, first)
     assert flight.origin == pytest.approx(times[first] - 0.5)
 
 
-def test_time_is_not_counted_from_before_the_first_pose():
+def test_time_counts_from_the_first_pose_at_the_earliest():
     assert track(approach, TO_ONE).origin == 0
 
 
@@ -185,12 +185,12 @@ def test_a_comparison_counts_time_from_the_first_move():
     assert (apart[0], apart[-1]) == pytest.approx((3.0, 9.0), abs=1.01 / RATE)
 
 
-def test_a_set_point_in_force_for_fewer_than_ten_poses_is_left_out():
+def test_a_set_point_active_for_fewer_than_ten_poses_is_ignored():
     set_points = ([0.0, 1.0, 1.03], [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.5, 0.0, 0.0)])
     assert [r.start for r in track(lambda t: (0.0, 0.0, 0.0), set_points).results()] == [0, 1.03]
 
 
-def test_json_names_what_it_holds():
+def test_json_keys_are_complete():
     content = track(approach, TO_ONE).results()[0].to_json()
     assert content["set_point"] == {"x_m": 1.0, "y_m": 0.3, "yaw_rad": 1.5}
     assert (
@@ -202,7 +202,7 @@ def test_json_names_what_it_holds():
     }  # fmt: skip
 
 
-def test_a_difference_is_the_others_pose_minus_ones_own():
+def test_a_difference_is_other_minus_own_pose():
     one = track(lambda t: (t, 0.0, 0.0), TO_ONE)
     other = track(lambda t: (t + 0.1, -0.2, 0.3), TO_ONE)
     np.testing.assert_allclose(
@@ -210,7 +210,7 @@ def test_a_difference_is_the_others_pose_minus_ones_own():
     )
 
 
-def test_flights_at_different_times_are_compared_in_between():
+def test_flights_at_different_times_are_interpolated():
     one = track(lambda t: (t, 2 * t, -t), TO_ONE)
     shifted = replace(one, time=one.time + 0.3 / RATE)
     np.testing.assert_allclose(
@@ -225,7 +225,7 @@ def test_a_difference_does_not_count_whole_turns(turns):
     np.testing.assert_allclose(one.difference(other)[:, 2], 0.1, atol=1e-9)
 
 
-def test_flights_without_common_time_are_refused():
+def test_flights_without_common_time_are_rejected():
     one = track(approach, TO_ONE)
     later = replace(one, time=one.time + 100, label="b")
     with pytest.raises(InputError, match="a and b"):
@@ -257,7 +257,7 @@ def recording(*, poses=None, start=0.5):
     )
 
 
-def test_a_recording_is_read_from_its_first_command_on():
+def test_a_recording_is_read_from_its_first_command():
     found = Track.of(recording(), VEHICLE, "flight")
     assert found.time[0] == pytest.approx(-0.5, abs=1e-6)
     assert found.command_time[0] == 0
@@ -269,7 +269,7 @@ def test_a_recording_is_read_from_its_first_command_on():
     np.testing.assert_array_equal(found.idle, 0.03)
 
 
-def test_yaw_is_made_continuous():
+def test_yaw_is_unwrapped():
     time = np.arange(960) / RATE
     wrapped = (3.0 * time + np.pi) % (2 * np.pi) - np.pi
     poses = np.column_stack([time, time, wrapped])
@@ -277,7 +277,7 @@ def test_yaw_is_made_continuous():
     np.testing.assert_allclose(np.diff(found.pose[:, 2]), 3.0 / RATE, atol=1e-9)
 
 
-def test_errors_are_those_to_the_set_point_in_force():
+def test_errors_are_relative_to_the_active_set_point():
     flight = track(lambda t: (t, 0.0, 3.0), ([1.0, 2.0], [(0.5, 0.1, 3.0), (1.0, 0.0, -3.0)]))
     expected = {0.5: (0, 0, 0), 1.0: (0.5, -0.1, 0), 1.75: (1.25, -0.1, 0)}
     expected[2.0] = (1.0, 0, 6 - 2 * np.pi)  # the shorter way round

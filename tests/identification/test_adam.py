@@ -29,7 +29,7 @@ def loss():
 
 
 @pytest.mark.slow
-def test_approaches_the_minimum(loss):
+def test_adam_approaches_the_minimum(loss):
     start = RUNGS["M3"].initial(VEHICLE)
     free = RUNGS["M3"].mask(start)
     adam = Adam(learning_rate=4e-3, inertia_factor=3e-4, epochs=25, batch_size=64)
@@ -40,7 +40,7 @@ def test_approaches_the_minimum(loss):
 
 
 @pytest.mark.slow
-def test_a_first_step_goes_down_the_gradient_at_the_learning_rate(loss):
+def test_the_first_step_follows_the_negative_gradient_at_the_learning_rate(loss):
     start = RUNGS["M1"].initial(VEHICLE)
     free = RUNGS["M1"].mask(start)
     count = len(loss.windows)
@@ -59,7 +59,7 @@ def test_a_first_step_goes_down_the_gradient_at_the_learning_rate(loss):
 
 
 @pytest.mark.slow
-def test_the_seed_decides(loss):
+def test_a_seed_determines_the_result(loss):
     start = RUNGS["M3"].initial(VEHICLE)
     free = RUNGS["M3"].mask(start)
     # The rate of the next test: one program for both.
@@ -73,7 +73,7 @@ def test_the_seed_decides(loss):
     assert not np.array_equal(first, other)
 
 
-def test_the_regulariser_keeps_curves_rising(loss):
+def test_the_regulariser_keeps_curves_monotone(loss):
     start = RUNGS["M3"].initial(VEHICLE)
     vector = start.to_vector()
     vector[0] = -0.02  # the first curve falls at zero
@@ -87,7 +87,7 @@ coefficient = st.floats(-2, 2).map(lambda x: round(x, 3))
 
 
 @given(st.tuples(coefficient, coefficient, coefficient))
-def test_penalty_is_the_papers(abc):
+def test_the_penalty_equals_the_papers(abc):
     a, b, c = abc
     expected = max(0, -a) + max(0, -a - 2 * b - 3 * c)
     if c > 0 and 0 <= -b / (3 * c) <= 1:
@@ -96,7 +96,7 @@ def test_penalty_is_the_papers(abc):
 
 
 @given(st.lists(coefficient, min_size=1, max_size=5))
-def test_penalty_vanishes_exactly_where_the_curve_rises(coefficients):
+def test_the_penalty_is_zero_exactly_for_rising_curves(coefficients):
     curve = np.array([coefficients])
     slope, _ = lowest_slope(curve)
     # Between the points of the grid for high degrees, a slope can dip a little.
@@ -104,6 +104,6 @@ def test_penalty_vanishes_exactly_where_the_curve_rises(coefficients):
         assert (monotone_penalty(np, curve) == 0) == (slope[0] > 0)
 
 
-def test_penalty_has_finite_gradients_for_cubics_without_a_cubic_term():
+def test_the_penalty_has_finite_gradients_without_a_cubic_term():
     gradient = jax.grad(lambda c: monotone_penalty(jnp, c))(jnp.array([[-0.1, 1.0, 0.0]]))
     assert np.isfinite(gradient).all()

@@ -19,7 +19,7 @@ from ..apparatus.disturbed_flights import noisy
 pytestmark = pytest.mark.slow
 
 
-def test_few_blocks_are_warned_of():
+def test_too_few_blocks_cause_a_warning():
     flight = noisy(duration=7.0)
     short = identify(flight)
     assert any("blocks of time" in warning for warning in short.warnings)
@@ -51,7 +51,7 @@ def test_a_fit_by_another_optimiser_has_standard_errors_but_no_bootstrap():
         bootstrap(fit, 10)
 
 
-def test_a_seed_gives_the_same_estimates(fit):
+def test_a_seed_reproduces_the_estimates(fit):
     seen = []
     estimates = resampled_estimates(fit, 3, seed=4, progress=seen.append)
     assert seen == [1, 2, 3]
@@ -60,7 +60,7 @@ def test_a_seed_gives_the_same_estimates(fit):
     assert not np.allclose(resampled_estimates(fit, 3, seed=5), estimates, rtol=1e-9)
 
 
-def test_packets_that_are_a_sample_widen_the_interval_of_the_delay():
+def test_sampled_packets_widen_the_interval_of_the_delay():
     """By the variance of their mean, about the middle of the interval."""
     fit = identify(noisy(), preparation=Preparation(delay="fit", retimings=0))
     jitter, packets = 6e-3, PacketDelays(np.arange(90), np.zeros(90), np.full(90, 1e-4))

@@ -35,7 +35,7 @@ def known(found):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("model", [TRUTH, scaled(TRUTH, 0.85)])
-def test_noise_and_rate_are_found_beside_rounded_stamps(model, rounded):
+def test_noise_and_rate_are_estimated_despite_rounded_stamps(model, rounded):
     found = known(cameras_of(model, [rounded]))
     assert found.rate_hz == pytest.approx(120, rel=1e-3)
     assert found.position_noise_m == pytest.approx(1.5e-4, rel=0.15)
@@ -61,5 +61,5 @@ def test_a_contact_does_not_count_as_noise(rounded):
     assert found.position_noise_m == pytest.approx(1.5e-4, rel=0.15)
 
 
-def test_a_few_poses_tell_nothing(rounded):
+def test_a_few_poses_determine_nothing(rounded):
     assert cameras_of(TRUTH, [rounded.slice(0.0, 0.02)]) is None

@@ -18,7 +18,7 @@ pytestmark = pytest.mark.slow
 TRUTH = replace(published_model("M3"), frame="body", indexing="start")
 
 
-def test_a_flight_of_the_twin_gives_its_effects_back_within_their_errors(tmp_path):
+def test_the_effects_of_a_twin_are_recovered_within_their_errors(tmp_path):
     effects = Effects(
         drag_linear_1_s=0.3,
         spin_drag_linear_1_s=0.5,
@@ -68,7 +68,7 @@ def test_a_flight_of_the_twin_gives_its_effects_back_within_their_errors(tmp_pat
     assert abs(found.transport_delay - 5 / 240) < 0.5e-3
 
 
-def test_a_flight_of_the_twin_gives_a_hull_back_within_its_errors():
+def test_a_hull_of_a_twin_is_recovered_within_its_errors():
     hull = {
         "hull_added_mass": 0.6,
         "hull_linear_along_1_s": 0.2,

@@ -38,7 +38,7 @@ def test_exact_data_give_exact_parameters():
 
 
 @pytest.mark.slow
-def test_motors_slower_than_the_vehicle_file_says_are_watched_for_longer():
+def test_motors_slower_than_stated_get_longer_windows():
     truth = published_model("M3")
     slow = replace(
         truth, frame="body", parameters=replace(truth.parameters, motor_time_constant=0.06)
@@ -53,7 +53,7 @@ def test_motors_slower_than_the_vehicle_file_says_are_watched_for_longer():
 
 
 @pytest.mark.slow
-def test_a_richer_model_starts_at_the_simpler_ones_optimum_without_its_faults():
+def test_a_larger_model_starts_at_the_smaller_models_optimum():
     flight, steps = fly(published_model("M3"), duration=12.0), []
     lost = slice(1200, 1320)
     flight.input[lost] = np.roll(flight.input[lost], 1, axis=1)
@@ -70,7 +70,7 @@ def test_a_richer_model_starts_at_the_simpler_ones_optimum_without_its_faults():
 
 
 @pytest.mark.slow
-def test_a_richer_model_starts_with_a_lag_that_a_step_makes_nominal_and_curves_as_they_are():
+def test_a_larger_model_starts_with_a_third_of_the_nominal_lag_and_the_same_curves():
     flight = fly(published_model("M3"), duration=3.0)
     simple = module.solved(flight, "M3")
     loss, outcome, _ = simple.result
@@ -84,7 +84,7 @@ def test_a_richer_model_starts_with_a_lag_that_a_step_makes_nominal_and_curves_a
 
 
 @pytest.mark.slow
-def test_two_recordings_at_once():
+def test_two_recordings_are_fitted_jointly():
     truth = with_offset_center(published_model("M3"))
     flights = [fly(truth, duration=6.0, seed=seed) for seed in (1, 2)]
     fit = identify(flights, loss=LONG)
@@ -95,7 +95,7 @@ def test_two_recordings_at_once():
         identify([flights[0], flights[0]])
 
 
-def test_the_craft_is_that_of_the_trajectory_unless_told_otherwise():
+def test_the_trajectorys_vehicle_is_the_default():
     flight, vehicle = fly(published_model("M3"), 2.0), default_vehicle()
     heavy = vehicle.model_copy(update={"mass_kg": 0.2})
     remembered = replace(flight, vehicle=heavy)
@@ -112,7 +112,7 @@ def test_the_craft_is_that_of_the_trajectory_unless_told_otherwise():
         (12, False, "^no optimum$"),
     ],
 )
-def test_a_fit_that_fails_is_blamed_on_poses_stamped_early_if_they_are(
+def test_a_failed_fit_is_blamed_on_early_pose_stamps_only_if_they_are_early(
     monkeypatch, samples, known, says
 ):
     def fails(_):
@@ -126,7 +126,7 @@ def test_a_fit_that_fails_is_blamed_on_poses_stamped_early_if_they_are(
         module.solved(flight, "M3")
 
 
-def test_recordings_of_different_rates_are_refused():
+def test_recordings_with_different_rates_are_rejected():
     flight = fly(published_model("M3"), 2.0)
     rare = replace(
         flight,
@@ -143,7 +143,7 @@ def test_recordings_of_different_rates_are_refused():
     assert Loss().samples([rare]) == (20, 25, 4)
 
 
-def test_a_slow_craft_is_watched_until_it_has_moved_well_beyond_noise():
+def test_a_slow_craft_gets_windows_in_which_it_moves_beyond_the_noise():
     paper = default_vehicle()
     flight = fly(published_model("M3"), 2.0)
     noise = 2e-4
@@ -162,7 +162,7 @@ def test_a_slow_craft_is_watched_until_it_has_moved_well_beyond_noise():
 
 
 @pytest.mark.slow
-def test_a_craft_with_four_propellers():
+def test_a_craft_with_four_propellers_is_identified():
     vehicle = four_propellers()
     start = named_rung("M3").initial(vehicle)
     parameters = replace(
@@ -181,13 +181,13 @@ def test_a_craft_with_four_propellers():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("degree", [1, 5])
-def test_any_degree(degree):
+def test_curves_of_any_degree_are_identified(degree):
     fit = identify(fly(published_model("M3"), duration=6.0), named_rung("M3", degree=degree))
     assert fit.model.parameters.thrust.shape == (6, degree)
     assert is_monotone(fit.model.parameters.thrust).all()
 
 
-def test_the_model_file_reads_back_bit_equal(tmp_path):
+def test_the_model_file_round_trips(tmp_path):
     fit = identify(fly(published_model("M3"), duration=3.0), "M4")
     fit.model.save(tmp_path / "model.toml")
     back = read_model(tmp_path / "model.toml")
@@ -198,12 +198,12 @@ def test_the_model_file_reads_back_bit_equal(tmp_path):
     assert back.vehicle == fit.model.vehicle
 
 
-def test_other_motors_are_refused():
+def test_unknown_motors_are_rejected():
     with pytest.raises(InputError, match="vehicle file"):
         identify(fly(model_of(four_propellers(), "M3"), duration=2.0))
 
 
-def test_a_motor_that_idles_in_the_span_that_is_used_is_named():
+def test_a_motor_that_idles_in_the_used_span_is_named():
     flight = fly(published_model("M3"), duration=6.0)
     command = flight.command.copy()
     command[flight.command_time > 3.0, 2] = 0.3
@@ -212,14 +212,14 @@ def test_a_motor_that_idles_in_the_span_that_is_used_is_named():
     assert any(f"command of {name} barely changes" in w for w in identify(part).warnings)
 
 
-def test_the_fit_names_its_loss():
+def test_a_fit_keeps_its_objective():
     fit = identify(fly(published_model("M3"), duration=3.0))
     found = fit.objective.quadratic(fit.model.parameters)
     assert found.loss == pytest.approx(fit.loss, rel=1e-9)
     assert len(fit.objective.windows) == fit.windows
 
 
-def test_warns_when_not_converged():
+def test_a_fit_that_did_not_converge_warns():
     from airpuck.identification.method import LevenbergMarquardt
 
     fit = identify(

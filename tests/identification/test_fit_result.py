@@ -36,7 +36,7 @@ def test_a_parameter_is_identified_only_if_no_open_direction_contains_it():
     assert [values[label]["identified"] for label in LABELS] == expected.tolist()
 
 
-def test_what_is_left_out_is_told_by_recording_if_there_are_several():
+def test_exclusions_are_listed_per_recording():
     flight = fly(MODEL, 1.0)
     other = replace(flight, source="/data/monday.bag")
     (alone,) = (text for text in outcome_words(fit(trajectories=(other,))) if "left out" in text)

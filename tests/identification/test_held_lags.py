@@ -35,7 +35,7 @@ def pulsed():
 
 
 @pytest.mark.slow
-def test_the_effect_of_a_lag_on_prepared_data_is_that_at_all_phases_of_pulses() -> None:
+def test_the_effect_of_a_fixed_lag_averages_over_the_phases_of_pulses() -> None:
     """A longer lag and a shorter delay hardly change the forces; at one phase they seem to."""
     model, trajectory = pulsed()
     parameters = model.parameters

@@ -32,7 +32,7 @@ def noisy_loss(model, noise=0.002, duration=6.0):
 
 
 @pytest.mark.slow
-def test_finds_the_minimum_of_scipy_and_plain_equations():
+def test_it_finds_the_minimum_of_scipy_and_of_plain_equations():
     loss = noisy_loss(published_model("M3"))
     start = RUNGS["M3"].initial(VEHICLE)
     free = RUNGS["M3"].mask(start)
@@ -58,7 +58,7 @@ def test_finds_the_minimum_of_scipy_and_plain_equations():
     np.testing.assert_allclose(outcome.parameters.to_vector()[free], scipys.x, rtol=1e-6, atol=1e-9)
 
 
-def test_thrust_curves_rise_even_where_the_data_say_otherwise():
+def test_thrust_curves_rise_even_if_the_data_disagree():
     truth = published_model("M3")
     falling = np.tile([0.1, 1.6, -1.2], (6, 1))  # F'(1) = -0.3
     dipping = np.tile([0.45, -1.6, 1.7], (3, 1))  # F' is lowest, -0.05, at φ = 0.31
@@ -75,7 +75,7 @@ def test_thrust_curves_rise_even_where_the_data_say_otherwise():
     assert unconstrained.loss < constrained.loss
 
 
-def test_bounds_hold():
+def test_bounds_are_respected():
     # Data without lag push the time constant towards zero.
     truth = published_model("M0")
     loss = noisy_loss(truth, noise=1e-4)
@@ -85,7 +85,7 @@ def test_bounds_hold():
 
 
 @pytest.mark.parametrize("factor", [0.05, 20.0])
-def test_a_step_changes_the_lag_at_most_threefold_and_the_last_one_finds_it(factor):
+def test_a_step_changes_the_lag_at_most_threefold_and_still_converges(factor):
     truth = published_model("M3")
     loss, rung = noisy_loss(truth, noise=1e-4), named_rung("M3")
     lag = truth.parameters.motor_time_constant
@@ -121,7 +121,7 @@ def test_a_lag_without_influence_does_not_hinder_the_other_parameters():
 
 
 @pytest.mark.slow
-def test_a_bound_that_holds_is_met_exactly():
+def test_an_active_bound_is_met_exactly():
     # A craft that something pushes along has negative drag.
     truth = published_model("M3")
     pushed = replace(truth.parameters, drag=np.array([-0.5, 0.0, -0.5, 0.0]))
@@ -133,7 +133,7 @@ def test_a_bound_that_holds_is_met_exactly():
     assert outcome.parameters.drag[2] == 0.0
 
 
-def test_fixed_entries_do_not_move():
+def test_fixed_entries_do_not_change():
     loss = noisy_loss(published_model("M3"))
     start = RUNGS["M2"].initial(VEHICLE)
     outcome = LevenbergMarquardt().minimize(loss, start, RUNGS["M2"].mask(start))
@@ -142,7 +142,7 @@ def test_fixed_entries_do_not_move():
     assert not np.array_equal(outcome.parameters.thrust, start.thrust)
 
 
-def test_history_never_rises_and_is_reported():
+def test_the_loss_never_rises_and_is_reported():
     loss = noisy_loss(published_model("M3"))
     start = RUNGS["M3"].initial(VEHICLE)
     seen = []
@@ -153,14 +153,14 @@ def test_history_never_rises_and_is_reported():
     assert outcome.converged
 
 
-def test_too_few_iterations_are_said_so():
+def test_too_few_iterations_are_reported():
     loss = noisy_loss(published_model("M3"))
     start = RUNGS["M3"].initial(VEHICLE)
     outcome = LevenbergMarquardt(max_iterations=1).minimize(loss, start, RUNGS["M3"].mask(start))
     assert not outcome.converged
 
 
-def test_rows_are_slopes():
+def test_constraint_rows_are_slopes():
     constraints = SlopeConstraints(np.ones((2, 3), dtype=bool))
     curves = np.random.default_rng(0).normal(size=(2, 3))
     ends = np.tile([0.0, 1.0], (2, 1))
@@ -169,7 +169,7 @@ def test_rows_are_slopes():
     )
 
 
-def test_a_cut_is_made_where_the_curve_falls_most():
+def test_a_cut_is_added_where_the_curve_falls_most():
     constraints = SlopeConstraints(np.ones((1, 3), dtype=bool))
     falling = np.array([[0.2, -1.0, 1.0]])  # F' = 0.2 - 2φ + 3φ² is lowest at φ = 1/3
     assert constraints.cut(falling)
@@ -177,7 +177,7 @@ def test_a_cut_is_made_where_the_curve_falls_most():
     assert not constraints.cut(np.array([[0.5, 0.5, 0.5]]))
 
 
-def test_a_curve_that_is_not_free_is_not_cut():
+def test_a_fixed_curve_is_not_cut():
     """A cut would change nothing, so the loop would not end."""
     free = np.array([[False] * 3, [True] * 3])
     falling = np.array([[0.2, -1.0, 1.0], [0.5, 0.5, 0.5]])
@@ -186,7 +186,7 @@ def test_a_curve_that_is_not_free_is_not_cut():
     assert constraints.cut(falling[::-1])
 
 
-def test_a_slope_that_nothing_can_change_is_not_constrained():
+def test_a_slope_of_fixed_coefficients_is_not_constrained():
     only_quadratic = np.array([[False, True]])
     rows = SlopeConstraints(only_quadratic).rows()
     np.testing.assert_array_equal(rows, [[1, 2]])

@@ -26,7 +26,7 @@ from ..apparatus.synthetic_flights import fly
 
 @pytest.mark.slow
 @pytest.mark.parametrize("interaction", [None, 1.0])
-def test_twins_that_blow_at_each_other_are_told_although_both_lose_alike(interaction):
+def test_pair_interaction_is_detected_although_both_motors_lose_equally(interaction):
     truth = replace(published_model("M3"), frame="body")
     truth = replace(truth, parameters=replace(truth.parameters, pair_interaction=interaction))
     fit = identify(fly(truth, duration=20.0))
@@ -37,7 +37,7 @@ def test_twins_that_blow_at_each_other_are_told_although_both_lose_alike(interac
 
 
 @pytest.mark.slow
-def test_a_few_seconds_show_what_is_missing():
+def test_a_few_seconds_reveal_a_missing_term():
     """The usual blocks of time would be too few to tell."""
     truth = replace(published_model("M3"), frame="body")
     braked = replace(truth.parameters, drag=np.array([0.5, 0.0, 0.5, 0.0]))
@@ -120,7 +120,7 @@ def told(loss: LinearLoss) -> dict[str, MissingTerm]:
     return {one.term: one for one in missing_terms(loss.model, cast(Any, loss))}
 
 
-def test_a_missing_term_is_predicted_as_least_squares_with_it_would_find_it():
+def test_a_missing_terms_value_is_predicted_as_least_squares_would_find_it():
     labels = ["tilt x", "tilt y"]
     loss = LinearLoss({"tilt x": 0.3, "tilt y": -0.2})
     (found,) = told(loss).values()
@@ -132,14 +132,14 @@ def test_a_missing_term_is_predicted_as_least_squares_with_it_would_find_it():
     assert 0.7 * gain < found.held_out < gain
 
 
-def test_a_term_that_the_model_has_is_not_missing():
+def test_a_term_already_in_the_model_is_not_missing():
     drag = replace(MODEL.parameters, drag=np.array([0.5, 0.0, 0.5, 0.0]))
     loss = LinearLoss({"tilt x": 0.3})
     loss.model = replace(MODEL, parameters=drag, free=drag.mask(named_rung("M3+drag").free))
     assert list(told(loss)) == ["tilt"]
 
 
-def test_thrusters_that_are_on_or_off_have_no_curve_to_bend():
+def test_on_off_thrusters_have_no_curve_to_bend():
     file = Path(__file__).parents[2] / "examples" / "free_flyers" / "atmos.toml"
     model = nominal_model(read_vehicle(file))
     model = replace(model, free=model.parameters.mask(frozenset({"thrust", "inertia"})))
@@ -150,23 +150,23 @@ def test_thrusters_that_are_on_or_off_have_no_curve_to_bend():
 
 
 @pytest.mark.slow
-def test_chance_is_rarely_taken_for_a_missing_term():
+def test_chance_is_rarely_reported_as_a_missing_term():
     """Eleven terms in forty flights: 0.2 false ones are expected."""
     assert sum(len(told(LinearLoss({}, seed))) for seed in range(40)) <= 2
 
 
-def test_what_happens_in_one_block_of_time_is_no_missing_term():
+def test_an_effect_in_one_block_of_time_is_not_a_missing_term():
     assert "inflow" in told(LinearLoss({"inflow": 0.4}))
     assert "inflow" not in told(LinearLoss({"inflow": 4.0}, only=7))
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_term_that_resembles_the_missing_one_is_not_told(seed):
+def test_a_term_that_resembles_the_missing_one_is_not_reported(seed):
     loss = LinearLoss({"inflow": 0.4}, seed, like=("tilt x", "inflow"))
     assert list(told(loss)) == ["inflow"]
 
 
-def test_a_coefficient_that_would_be_impossible_stays_at_zero():
+def test_an_impossible_coefficient_stays_at_zero():
     """Friction cannot push."""
     first, second = labels = [one for one in friction_labels() if "friction" in one]
     found = told(LinearLoss({first: -0.5, second: 0.4}))["friction"]
@@ -185,13 +185,13 @@ def friction_labels() -> list[str]:
     ("term", "held_out", "expected"),
     [("drag", 0.3, True), ("drag", 0.0, False), ("change of inertia", 0.3, False)],
 )
-def test_a_term_joins_the_model_if_it_predicts_better_and_is_no_change(term, held_out, expected):
+def test_a_term_is_added_if_it_predicts_better_and_is_not_a_change(term, held_out, expected):
     found = MissingTerm(term, 1e-9, 0.3, held_out, (1.0,), np.zeros(len(OWN)))
     assert found.worthwhile == expected
 
 
 @pytest.mark.parametrize("size", [1e-4, 1e9])
-def test_shifts_are_linear_however_far_a_term_would_move_a_parameter(size):
+def test_shifts_stay_linear_however_far_a_term_moves_a_parameter(size):
     direction = size * MODEL.parameters.mask(frozenset({"motor_time_constant"}))
     term = MissingTerm("drag", 1e-9, 0.1, 0.1, (1.0,), -direction)
     (found,) = with_shifts(MODEL, [term])
@@ -214,7 +214,7 @@ def test_the_quantity_that_a_term_shifts_most_is_named_if_errors_are_known():
     assert (unknown.largest, unknown.unit) == ("", "")
 
 
-def test_a_level_that_no_motion_shows_pushes_and_turns_nothing():
+def test_an_unobservable_thrust_offset_produces_no_force_or_moment():
     slowest = np.array([0.1, 0.2, 0.3, 0.4, 0.5, 0.6])
     loss = LinearLoss({})
     # A tenth of the samples is slower.
@@ -231,7 +231,7 @@ def test_a_level_that_no_motion_shows_pushes_and_turns_nothing():
     assert (np.ptp(level, axis=1) < 0.3 * np.abs(level).max(axis=1)).all()
 
 
-def test_a_higher_degree_counts_as_the_curve_that_resembles_it():
+def test_a_higher_degree_is_absorbed_by_the_closest_lower_curve():
     """The shift is that of the thrusts, not of coefficients that cancel each other."""
     labels = [one.replace("φ^3", "φ^4") for one in OWN if "φ^3" in one]
     loss = LinearLoss(dict.fromkeys(labels, 0.3))
@@ -246,7 +246,7 @@ def test_a_higher_degree_counts_as_the_curve_that_resembles_it():
         np.testing.assert_allclose(powers @ predicted[rows], whole, atol=0.02 * abs(added))
 
 
-def test_a_shape_that_all_curves_share_is_told_where_single_ones_are_not():
+def test_a_bend_common_to_all_curves_is_detected_more_often_than_mixed_bends():
     labels = [one.replace("φ^3", "φ^4") for one in OWN if "φ^3" in one]
     full = np.sum(np.asarray(MODEL.parameters.thrust), axis=1)
     alike = 0.06 * full / full.mean()

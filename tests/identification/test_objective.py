@@ -79,7 +79,7 @@ def plain_jacobian(parameters, windows, encoder, frame):
         pytest.param("M4+hull", "body", marks=pytest.mark.slow),
     ],
 )
-def test_equals_the_plain_jacobian(windows, name, frame):
+def test_gradient_and_hessian_match_the_plain_jacobian(windows, name, frame):
     parameters, encoder = moved(name), PaperEncoder()
     result = PredictionLoss(windows, VEHICLE, encoder, WEIGHTS, frame).quadratic(parameters)
     residual = residuals(parameters, windows, encoder, frame).ravel()
@@ -99,7 +99,7 @@ def test_equals_the_plain_jacobian(windows, name, frame):
     ("name", "indexing"),
     [("M0", "start"), ("M0", "end"), ("M2", "start"), ("M2", "end"), (ALL_TERMS, "start")],
 )
-def test_gradient_by_finite_differences(windows, name, indexing):
+def test_the_gradient_matches_finite_differences(windows, name, indexing):
     parameters, encoder = moved(name), PaperEncoder(indexing=indexing)
     if name in ("M0", "M2"):
         parameters = named_rung(name).initial(VEHICLE)
@@ -116,7 +116,7 @@ def test_gradient_by_finite_differences(windows, name, indexing):
     np.testing.assert_allclose(gradient[entries], slopes, rtol=1e-5, atol=1e-9)
 
 
-def test_clusters_add_up(windows):
+def test_clusters_sum_to_the_total(windows):
     parameters = moved("M3")
     plain = PredictionLoss(windows, VEHICLE, PaperEncoder(), WEIGHTS)
     clusters = np.arange(len(windows)) // 20
@@ -128,7 +128,7 @@ def test_clusters_add_up(windows):
     np.testing.assert_allclose(result.hessian, expected.hessian, rtol=1e-9, atol=1e-12)
 
 
-def test_thinned_where_there_are_many(windows):
+def test_many_windows_are_thinned(windows):
     loss = PredictionLoss(windows, VEHICLE, PaperEncoder())
     assert loss.thinned is loss
     starts = np.resize(windows.starts, 1001)
@@ -155,7 +155,7 @@ def test_padding_of_batches_does_not_count(windows, count):
 
 
 @pytest.mark.slow
-def test_one_window_over_the_whole_flight():
+def test_one_window_can_cover_the_whole_flight():
     windows = make_windows(fly(published_model("M3"), duration=3.0), 20, None)
     parameters = moved("M3")
     result = PredictionLoss(windows, VEHICLE, PaperEncoder(), WEIGHTS).quadratic(parameters)
@@ -163,7 +163,7 @@ def test_one_window_over_the_whole_flight():
     assert result.loss == pytest.approx(np.mean(expected**2), rel=1e-9)
 
 
-def test_only_frames_that_were_lost_do_not_count():
+def test_only_lost_frames_are_ignored():
     flight, parameters = fly(published_model("M3"), duration=0.5), moved("M3")
     flight = replace(flight, lost=flight.time[[30]])
 
@@ -189,7 +189,7 @@ class PlainNumpy(Effect):
         return -self.rate * np.tanh(motion.forward), 0.0, 0.0
 
 
-def test_an_effect_that_cannot_be_differentiated_costs_its_user_one_line(windows):
+def test_a_user_effect_that_cannot_be_differentiated_ends_in_one_line(windows):
     parameters = named_rung("M3").with_effect(PlainNumpy).initial(VEHICLE)
     loss = PredictionLoss(windows, VEHICLE, PaperEncoder(), WEIGHTS)
     with pytest.raises(InputError, match=r"PlainNumpy: model: cannot be differentiated: use xp"):
@@ -208,7 +208,7 @@ class PowerDrag(Effect):
         return -self.rate * getattr(motion, self.axis) ** self.power, 0.0, 0.0
 
 
-def test_whole_numbers_and_texts_of_an_effect_are_settings_that_no_fit_changes(windows):
+def test_integer_and_text_fields_of_an_effect_are_not_fitted(windows):
     rung = named_rung("M3").with_effect(PowerDrag)
     parameters, encoder = rung.initial(VEHICLE), PaperEncoder()
     assert parameters.power_drag.tolist() == [1.0]

@@ -50,7 +50,7 @@ def fitted(recording, vehicle, retimings):
 
 
 @pytest.mark.slow
-def test_forces_and_delay_of_a_twin_come_back(flown) -> None:
+def test_forces_and_delay_of_the_twin_are_recovered(flown) -> None:
     truth, recording = flown
     found = fitted(recording, read_vehicle(FREE_FLYERS / "atmos.toml"), 0).model.parameters
     assert found.thrust.shape == (8, 1)
@@ -70,7 +70,7 @@ def held(flown, tmp_path_factory):
 
 
 @pytest.mark.slow
-def test_a_lag_that_poses_determine_less_well_than_the_file_keeps_its_value_and_error(
+def test_a_lag_that_poses_determine_poorly_keeps_the_file_value_and_error(
     held,
 ) -> None:
     fit, lag = held, held.model.parameters.mask(LAG)
@@ -84,7 +84,7 @@ def test_a_lag_that_poses_determine_less_well_than_the_file_keeps_its_value_and_
 
 
 @pytest.mark.slow
-def test_resampled_fits_draw_a_held_lag_from_its_error(held) -> None:
+def test_resampled_fits_draw_a_fixed_lag_from_its_error(held) -> None:
     """The delay is shorter where the lag is longer."""
     loss = held.objective
     # A longer flight has that many blocks of its own.

@@ -42,7 +42,7 @@ def flown(tmp_path, noise=(1e-4, 1e-4, 5e-4)):
     return vehicle, truth, preprocess(recording, vehicle)
 
 
-def test_timing_and_predictions_are_judged_between_the_poses_of_a_slow_camera(tmp_path):
+def test_timing_and_predictions_are_judged_between_slow_frames(tmp_path):
     vehicle, truth, trajectory = flown(tmp_path)
     parameters = replace(truth, transport_delay=DELAY)
     free = parameters.mask(frozenset({"transport_delay"}))
@@ -58,7 +58,7 @@ def test_timing_and_predictions_are_judged_between_the_poses_of_a_slow_camera(tm
 
 
 @pytest.mark.slow
-def test_a_wheel_with_its_own_lag_leaves_all_forces_right(tmp_path):
+def test_a_wheels_own_lag_leaves_all_forces_correct(tmp_path):
     _, truth, trajectory = flown(tmp_path)
     model = identify(trajectory, preparation=Preparation(faults="keep")).model
     known = model.uncertainty
@@ -73,7 +73,7 @@ def test_a_wheel_with_its_own_lag_leaves_all_forces_right(tmp_path):
 
 
 @pytest.mark.slow
-def test_the_error_of_a_wheels_lag_is_that_of_fits_with_other_lags(tmp_path):
+def test_the_error_of_a_wheels_lag_matches_fits_with_other_lags(tmp_path):
     """Also where noise makes the model smooth the velocities, by 0.1 standard errors."""
     vehicle, _, trajectory = flown(tmp_path, noise=(1e-3, 1e-3, 2e-3))
     (wheel,), error = vehicle.wheels, 0.01

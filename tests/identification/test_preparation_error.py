@@ -53,7 +53,7 @@ def growth_of(fit, mixed, hessian):
     return growth
 
 
-def test_rounds_add_up():
+def test_repeated_preparation_sums_a_geometric_series():
     """K = 1/2: an error, half of it again, and a quarter."""
     one = np.eye(3)
     np.testing.assert_allclose(error_growth(-one, 2 * one, one, 2), 1.75 * one)
@@ -63,7 +63,7 @@ def test_rounds_add_up():
 
 
 @pytest.mark.slow
-def test_errors_beyond_all_bounds_move_no_parameter_out_of_them(flight, fit):
+def test_errors_beyond_all_bounds_keep_parameters_within_them(flight, fit):
     errors = fit.uncertainty.standard_errors.copy()
     errors[[LAG, DELAY]] = 1e6
     packets = fit.packet_delays
@@ -73,7 +73,7 @@ def test_errors_beyond_all_bounds_move_no_parameter_out_of_them(flight, fit):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("entry", [LAG, pytest.param(ANGLE, marks=pytest.mark.study)])
-def test_it_is_that_of_data_prepared_with_something_else(flight, fit, entry, monkeypatch):
+def test_the_error_matches_data_prepared_with_other_parameters(flight, fit, entry, monkeypatch):
     """Prepare everything again, with all decisions, two standard errors away."""
     monkeypatch.setattr(retiming, "_DENSITY", 6)
     parameters, windows = fit.model.parameters, fit.objective.windows
@@ -105,7 +105,7 @@ def test_it_is_that_of_data_prepared_with_something_else(flight, fit, entry, mon
 
 
 @pytest.mark.slow
-def test_it_makes_estimates_less_certain(flight, fit):
+def test_preparation_error_makes_estimates_less_certain(flight, fit):
     """Free packet delays explain part of the effect of a wrong lag."""
     growth = growth_of(fit, *found(fit, [flight]))
     assert 1.05 < growth[LAG] < 1.4
@@ -114,12 +114,12 @@ def test_it_makes_estimates_less_certain(flight, fit):
 
 
 @pytest.mark.slow
-def test_without_packets_only_smoothing_is_left(flight, fit):
+def test_without_packets_only_smoothing_contributes(flight, fit):
     np.testing.assert_allclose(growth_of(fit, *found(fit, [flight], [NOTHING])), 1.0, atol=0.05)
 
 
 @pytest.mark.slow
-def test_weights_of_windows_count(flight, fit):
+def test_window_weights_count(flight, fit):
     """The mean of those of the first half and of the second is that of the whole."""
     starts = fit.objective.windows.starts
     first = np.where(starts < np.median(starts), 1.0, 0.0)
@@ -134,7 +134,7 @@ def test_weights_of_windows_count(flight, fit):
 
 
 @pytest.mark.slow
-def test_all_packets_later_is_a_longer_delay_and_nothing_else(flight, fit):
+def test_delaying_all_packets_only_lengthens_the_delay(flight, fit):
     """Prepared data keep the mean of the packets' delays, whatever constant is added."""
     (own,) = fit.packet_delays
     later = PacketDelays(own.packet, own.deviation + 0.003, own.standard_error)
@@ -143,7 +143,7 @@ def test_all_packets_later_is_a_longer_delay_and_nothing_else(flight, fit):
 
 
 @pytest.mark.slow
-def test_a_fit_has_all_of_it(flight, fit):
+def test_the_errors_of_a_fit_include_all_sources(flight, fit):
     """Blocks, shared samples, data prepared with the estimate, and sampled packets."""
     loss, parameters = fit.objective, fit.model.parameters
     quadratic = loss.quadratic(parameters)

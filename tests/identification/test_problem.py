@@ -42,7 +42,7 @@ def fit(faulty):
 
 
 @pytest.mark.slow
-def test_faults_do_not_move_the_estimate(fit, faulty):
+def test_faults_do_not_affect_the_estimate(fit, faulty):
     kept = identify(faulty, "M3", preparation=Preparation(faults="keep"))
     assert off(kept) > 0.05
     assert off(fit) < 0.1 * off(kept)
@@ -53,7 +53,7 @@ def test_faults_do_not_move_the_estimate(fit, faulty):
 
 
 @pytest.mark.slow
-def test_a_clean_flight_loses_nothing(clean):
+def test_nothing_is_excluded_from_a_clean_flight(clean):
     fit, kept = (
         identify(clean, "M3", preparation=Preparation(faults=f)) for f in ("exclude", "keep")
     )
@@ -64,7 +64,7 @@ def test_a_clean_flight_loses_nothing(clean):
 
 
 @pytest.mark.slow
-def test_what_was_left_out_is_in_the_model_file(fit, faulty, tmp_path):
+def test_exclusions_are_in_the_model_file(fit, faulty, tmp_path):
     fit.model.save(tmp_path / "m.toml")
     left_out = read_model(tmp_path / "m.toml").fit["left_out"]
     assert left_out == fit.exclusion.to_json() == fit.to_json()["faults"]
@@ -75,13 +75,13 @@ def test_what_was_left_out_is_in_the_model_file(fit, faulty, tmp_path):
 
 
 @pytest.mark.slow
-def test_iterations_go_on_after_the_faults_are_out(fit):
+def test_iterations_continue_after_faults_are_excluded(fit):
     numbers = [step.number for step in fit.history]
     assert numbers == list(range(len(numbers)))
 
 
 @pytest.mark.study
-def test_a_fit_by_another_optimiser_leaves_them_out_too(faulty, fit):
+def test_a_fit_by_another_optimiser_excludes_faults_too(faulty, fit):
     other = identify(faulty, "M3", method=Adam(epochs=1), preparation=Preparation(faults="exclude"))
     # Its first fit uses the given delay, so confidences differ slightly.
     assert [[(s.start, s.stop, s.cause) for s in spans] for spans in other.exclusion.faults] == [
@@ -91,7 +91,7 @@ def test_a_fit_by_another_optimiser_leaves_them_out_too(faulty, fit):
     assert other.iterations == 1
 
 
-def test_where_most_looks_faulty_the_model_is_doubted(clean, monkeypatch):
+def test_the_model_is_doubted_if_most_of_a_flight_looks_faulty(clean, monkeypatch):
     for until, doubted in ((4.0, False), (8.0, True)):
         spans = (Span(0.0, until, "radio out", 0.9),)
         monkeypatch.setattr(problem, "find_faults", lambda *_, spans=spans: spans)
@@ -101,7 +101,7 @@ def test_where_most_looks_faulty_the_model_is_doubted(clean, monkeypatch):
         assert (found.share == 0) is doubted
 
 
-def test_a_fault_is_left_out_until_the_motors_have_settled(clean, monkeypatch):
+def test_a_fault_is_excluded_until_the_motors_have_settled(clean, monkeypatch):
     """With the speeds that they had during a fault, the motors still push afterwards."""
     span = Span(2.0, 2.5, "radio out", 0.9)
     monkeypatch.setattr(problem, "find_faults", lambda *_: (span,))
@@ -116,6 +116,6 @@ def test_a_fault_is_left_out_until_the_motors_have_settled(clean, monkeypatch):
 
 
 @pytest.mark.slow
-def test_one_window_over_the_whole_flight_is_not_cut(clean):
+def test_one_window_over_the_whole_flight_is_not_split(clean):
     short = clean.slice(0, 0.1)
     assert identify(short, "M0", loss=Loss(whole=True)).exclusion is None

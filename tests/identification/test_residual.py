@@ -77,7 +77,7 @@ def test_numpy_jax_and_casadi_agree_on_the_network():
     np.testing.assert_allclose(np.ravel(function(state, command)), expected, rtol=1e-12)
 
 
-def test_the_stated_bound_of_the_network_holds():
+def test_the_network_stays_within_its_stated_bound():
     effect = next(e for e in neural(2.0).dynamics.effects if isinstance(e, Residual))
     rng, (linear, angular) = np.random.default_rng(3), (0.0, 0.0)
     motion = rng.normal(0, 2, (5, 4000))
@@ -89,7 +89,7 @@ def test_the_stated_bound_of_the_network_holds():
     assert np.abs(spin).max() > 0.3 * angular
 
 
-def test_a_model_file_holds_the_network_bit_for_bit(tmp_path):
+def test_a_model_file_keeps_the_network_exactly(tmp_path):
     model = neural()
     model.save(tmp_path / "model.toml")
     read = read_model(tmp_path / "model.toml")
@@ -105,12 +105,12 @@ def test_a_model_file_holds_the_network_bit_for_bit(tmp_path):
 
 
 @pytest.mark.parametrize("kind", ["c", "fmu", "matlab", "mjcf", "holohover"])
-def test_formats_that_cannot_hold_the_network_refuse_it_by_name(tmp_path, kind):
+def test_formats_that_cannot_represent_the_network_reject_it_by_name(tmp_path, kind):
     with pytest.raises(InputError, match="Residual"):
         write(neural(), kind, tmp_path / "out")
 
 
-def test_a_twin_and_a_batch_fly_the_network_alike():
+def test_the_twin_and_a_batch_fly_the_network_equally():
     model, command = neural(), np.full(6, 0.3) + 0.1 * np.arange(6) / 6
     settings = default_twin_settings()
     twin = Twin(model, settings, seed=1)
@@ -125,13 +125,13 @@ def test_a_twin_and_a_batch_fly_the_network_alike():
     assert np.abs(batch.state[:6, 1] - twin.state[:6]).max() > 1e-4
 
 
-def test_the_physics_of_a_rung_is_the_rung_without_the_network():
+def test_the_physics_of_a_residual_rung_is_the_rung_without_it():
     rung = named_rung("M3+drag+residual").physics
     assert (rung.name, rung.effects) == ("M3+drag", ("drag",))
     assert rung.initial(BASE.vehicle).residual is None
 
 
-def test_a_term_of_ones_own_may_be_named_like_the_network(tmp_path):
+def test_a_user_effect_may_share_the_networks_name(tmp_path):
     code = tmp_path / "residual_drag.py"
     code.write_text(
         "import dataclasses\nimport airpuck\n\n"
@@ -174,7 +174,7 @@ class LinearInWeights:
         return Quadratic((errors**2).sum(axis=1), scores, informations)
 
 
-def test_training_finds_the_least_squares_of_three_blocks_in_four():
+def test_training_solves_the_least_squares_of_three_blocks_in_four():
     mine = neural().parameters.mask(frozenset({"residual"}))
     loss = LinearInWeights(mine, 2.0)
     model = believed(BASE, 0.01 * np.ones(len(BASE.free)))
@@ -194,7 +194,7 @@ def test_training_finds_the_least_squares_of_three_blocks_in_four():
 
 
 @pytest.mark.slow
-def test_a_trained_network_predicts_another_flight_better_if_physics_is_missing():
+def test_a_trained_network_improves_predictions_if_physics_is_missing():
     strange = Effects.model_validate({"spin_drag_quadratic_1_rad": 0.15, "inflow_s_m": 0.25})
     train, other = flown(0, strange), flown(1, strange)
     plain = identify(train, "M3")
@@ -213,7 +213,7 @@ def test_a_trained_network_predicts_another_flight_better_if_physics_is_missing(
 
 
 @pytest.mark.slow
-def test_early_stopping_keeps_a_network_from_harming_complete_physics():
+def test_early_stopping_prevents_harm_to_complete_physics():
     train, other = flown(2), flown(3)
     plain = identify(train, "M3")
     before, after = (evaluate(one.model, other).rmse for one in (plain, with_residual(plain)))

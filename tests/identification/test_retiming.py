@@ -48,14 +48,14 @@ def sent(count: int = 40) -> Trajectory:
     )
 
 
-def test_known_packets_move_and_take_the_others_along():
+def test_retimed_packets_shift_their_neighbours():
     """Packet 10 comes 15 ms late, packet 20 15 ms early: 11 waits for 10, and 20 waits for 19."""
     moved = retimed(sent(), packets([10, 20], [0.015, -0.015]), 0.01).command_time
     np.testing.assert_allclose(moved[[9, 10, 11, 12]], [0.09, 0.115, 0.115, 0.12], atol=1e-12)
     np.testing.assert_allclose(moved[[18, 19, 20, 21]], [0.18, 0.185, 0.185, 0.21], atol=1e-12)
 
 
-def test_what_is_hardly_known_hardly_moves():
+def test_uncertain_delays_are_barely_changed():
     """Half of an estimate with the variance of the delays, a fifth with four times as much."""
     for error, share in ((0.01, 0.5), (0.02, 0.2)):
         moved = retimed(sent(), packets([10, 20], [0.005, -0.005], error), 0.01).command_time
@@ -63,19 +63,19 @@ def test_what_is_hardly_known_hardly_moves():
 
 
 @given(st.lists(st.floats(-0.05, 0.05), min_size=3, max_size=3))
-def test_no_packet_overtakes(deviation):
+def test_packets_do_not_overtake_each_other(deviation):
     moved = retimed(sent(), packets([5, 12, 16], deviation), 0.01).command_time
     assert (np.diff(moved) >= 0).all()
 
 
-def test_without_jitter_nothing_moves():
+def test_without_jitter_no_packet_is_retimed():
     trajectory = sent()
     assert retimed(trajectory, packets([10, 20], [0.015, -0.015]), 0.0) is trajectory
     nothing = PacketDelays(np.zeros(0, dtype=int), np.zeros(0), np.zeros(0))
     assert retimed(trajectory, nothing, 0.01) is trajectory
 
 
-def test_stretches_too_short_to_smooth_are_left_alone():
+def test_segments_too_short_to_smooth_are_unchanged():
     """Two long pauses, five samples apart: preprocessing excludes the samples in between."""
     time = np.delete(np.arange(190), [*range(60, 96), *range(101, 137)]) / 240
     state = np.zeros((118, 6))
@@ -95,7 +95,7 @@ def test_stretches_too_short_to_smooth_are_left_alone():
 
 
 @pytest.mark.slow
-def test_velocities_are_not_smoothed_across_switches():
+def test_velocities_are_not_smoothed_across_switching_times():
     """With perfect cameras the only error is smoothing; the true model removes nearly all of it."""
     flight = flown(0.0, 10.0, noise=False)
     known = replace(TRUTH, free=TRUTH.parameters.mask(frozenset({"transport_delay"})))
@@ -108,7 +108,7 @@ def test_velocities_are_not_smoothed_across_switches():
     assert (errors(smoothed_along(flight.trajectory, known)) < 0.15 * blurred).all()
 
 
-def test_smoothing_along_a_model_is_smoothing_where_motors_stand():
+def test_smoothing_along_a_model_equals_plain_smoothing_if_motors_stand():
     """Without a model, velocities equal preprocessed velocities, with or without a gap."""
     rng = np.random.default_rng(0)
     time = np.concatenate([np.arange(60), np.arange(80, 140)]) / 240
@@ -131,7 +131,7 @@ def test_smoothing_along_a_model_is_smoothing_where_motors_stand():
 
 
 @pytest.mark.study
-def test_a_retimed_fit_is_several_times_more_accurate():
+def test_retiming_makes_a_fit_several_times_more_accurate():
     """Against a fit on the same flight that assumes the mean delay for every packet."""
     trajectory = flown(0.007, 40.0).trajectory
     retimed_fit = fit_of_flown(0.007, 40.0)
@@ -142,7 +142,7 @@ def test_a_retimed_fit_is_several_times_more_accurate():
     assert retimed_fit.loss < 0.2 * plain.loss
 
 
-def test_equal_errors_by_hand():
+def test_jitter_with_equal_errors_matches_a_hand_calculation():
     """σ² = s² - v, s² with N - 1 degrees of freedom; of s², the error by the fourth moment."""
     deviation = 1e-3 * np.array([-6.0, -3, -2, -1, 0, 0, 1, 2, 3, 6])
     jitter = delay_jitter([some(deviation, 1e-3)])
@@ -154,7 +154,7 @@ def test_equal_errors_by_hand():
 
 
 @pytest.mark.parametrize("spread", [1e-3, 6e-3])
-def test_spread_is_found_below_unequal_errors(spread):
+def test_the_spread_is_recovered_from_unequal_errors(spread):
     rng = np.random.default_rng(0)
     error = rng.uniform(0.2e-3, 4e-3, 4000)
     deviation = rng.normal(0, np.hypot(spread, error))
@@ -163,7 +163,7 @@ def test_spread_is_found_below_unequal_errors(spread):
 
 
 @pytest.mark.slow
-def test_standard_error_is_the_spread_of_estimates():
+def test_the_standard_error_matches_the_spread_of_estimates():
     rng = np.random.default_rng(1)
     found = [delay_jitter([some(rng.normal(0, 6e-3, 150), 1e-3)]) for _ in range(400)]
     spread = np.std([jitter.standard_deviation_s for jitter in found])
@@ -177,21 +177,21 @@ def test_errors_that_explain_the_spread_leave_no_jitter():
     assert 0 < jitter.standard_error_s < 1e-3
 
 
-def test_packets_that_all_come_as_late_have_no_jitter():
+def test_equally_late_packets_have_no_jitter():
     jitter = delay_jitter([some(np.full(20, 2e-3), 1e-3)])
     assert jitter.standard_deviation_s == pytest.approx(0, abs=1e-12)
     assert jitter.standard_error_s == pytest.approx(0, abs=1e-12)
 
 
 @given(st.floats(-0.05, 0.05), st.floats(-0.05, 0.05))
-def test_means_of_recordings_are_no_jitter(first, second):
+def test_differences_between_recordings_are_not_jitter(first, second):
     deviation = 6e-3 * np.random.default_rng(3).normal(size=60)
     plain = delay_jitter([some(deviation, 1e-3), some(deviation, 1e-3)])
     moved = delay_jitter([some(deviation + first, 1e-3), some(deviation + second, 1e-3)])
     assert moved.standard_deviation_s == pytest.approx(plain.standard_deviation_s, rel=1e-9)
 
 
-def test_the_weighted_sum_of_squares_is_its_expectation():
+def test_the_weighted_sum_of_squares_equals_its_expectation():
     """Paule and Mandel's equation, mean and all, for errors that differ by a factor of twenty."""
     rng = np.random.default_rng(4)
     error = rng.uniform(0.2e-3, 4e-3, 40)
@@ -206,7 +206,7 @@ def test_the_weighted_sum_of_squares_is_its_expectation():
     assert jitter.standard_deviation_s == pytest.approx(expected, rel=1e-6)
 
 
-def test_errors_grow_without_limit_only_where_preparation_decides():
+def test_errors_diverge_only_if_preparation_dominates():
     basis, hessian = np.eye(3), np.eye(3)
     mixed = -np.diag([0.5, 3.0, 0.0])  # K has the eigenvalues 0.5, 3 and 0
     growth = np.diag(error_growth(mixed, hessian, basis, rounds=100))
@@ -219,13 +219,13 @@ def test_errors_grow_without_limit_only_where_preparation_decides():
     np.testing.assert_allclose(settled, [2.0, -0.5, 1.0])
 
 
-def test_few_packets_say_nothing():
+def test_too_few_packets_determine_nothing():
     assert delay_jitter([some([1e-3], 1e-3)] * 12) is None
     assert delay_jitter([]) is None
     assert delay_jitter([some(np.zeros(9), 1e-3)]) is None
 
 
-def test_the_variance_of_a_mean_is_that_of_many_samples():
+def test_the_variance_of_a_mean_matches_many_samples():
     rng = np.random.default_rng(4)
     error = rng.uniform(0.2e-3, 4e-3, 120)
     delays = [some(np.zeros(70), error[:70]), some(np.zeros(50), error[70:])]

@@ -43,7 +43,7 @@ def faulty(clean):
 
 
 @pytest.mark.slow
-def test_unmarked_faults_hardly_move_the_estimate(faulty):
+def test_unmarked_faults_barely_affect_the_estimate(faulty):
     plain = identify(faulty, "M3", preparation=KEEP_FAULTS)
     robust = identify(faulty, "M3", loss=ROBUST, preparation=KEEP_FAULTS)
     assert off(plain) > 0.05
@@ -55,13 +55,13 @@ def test_unmarked_faults_hardly_move_the_estimate(faulty):
 
 
 @pytest.mark.slow
-def test_without_faults_nothing_is_lost(clean):
+def test_robustness_costs_nothing_without_faults(clean):
     plain, robust = identify(clean, "M3"), identify(clean, "M3", loss=ROBUST)
     assert off(robust) < 1.5 * off(plain) + 2e-3
 
 
 @pytest.mark.slow
-def test_a_window_counts_as_student_says(faulty):
+def test_windows_are_weighted_by_students_distribution(faulty):
     """Against the formula, with errors from `evaluate` on the same windows."""
     loss = PredictionLoss(make_windows(faulty, 20, 50, 70), MODEL.vehicle, PaperEncoder())
     weight = window_weights(loss, MODEL.parameters)
@@ -72,7 +72,7 @@ def test_a_window_counts_as_student_says(faulty):
 
 
 @pytest.mark.slow
-def test_iterations_are_counted_on(faulty):
+def test_iterations_are_numbered_consecutively(faulty):
     seen = []
     fit = identify(faulty, "M0", loss=ROBUST, preparation=KEEP_FAULTS, progress=seen.append)
     numbers = [step.number for step in fit.history]
@@ -81,13 +81,13 @@ def test_iterations_are_counted_on(faulty):
 
 
 @pytest.mark.slow
-def test_another_optimiser_is_not_robust(clean):
+def test_other_optimisers_are_not_robust(clean):
     with pytest.raises(InputError, match="robust"):
         identify(clean, "M3", method=Adam(epochs=1), loss=ROBUST)
 
 
 @pytest.mark.slow
-def test_a_window_that_is_drawn_twice_counts_as_two(faulty):
+def test_a_window_drawn_twice_counts_twice(faulty):
     """Resampled fits recompute the weights for the windows that were drawn."""
     loss = replace(prediction_loss(ROBUST, [faulty], MODEL.vehicle), clusters=None)
     rung, windows, method = named_rung("M0"), loss.windows, LevenbergMarquardt()
@@ -160,7 +160,7 @@ class Decay:
 
 
 @pytest.mark.slow
-def test_standard_errors_know_of_the_weights():
+def test_standard_errors_account_for_the_weights():
     """The spread of 300 estimates; with weights as given errors are too small by a third."""
     regression, rng = Decay(), np.random.default_rng(0)
     estimates, errors = [], []
@@ -201,7 +201,7 @@ def test_the_information_is_the_derivative_of_the_weighted_scores():
 
 @pytest.mark.study
 @pytest.mark.data
-def test_medians_on_the_paper_s_experiments(experiments):
+def test_median_errors_on_the_papers_experiments_are_small(experiments):
     training, validation = (
         read_authors_experiment(experiments / name / "data.pt") for name in (TRAINING, VALIDATION)
     )

@@ -40,7 +40,7 @@ def precision(model):
     return found
 
 
-def test_combined_fits_are_the_least_squares_solution_for_all_of_their_estimates():
+def test_combined_fits_equal_the_least_squares_solution_of_their_estimates():
     rng = np.random.default_rng(0)
     truth = MODEL.parameters.to_vector()
     size = len(truth)
@@ -75,7 +75,7 @@ def test_combined_fits_are_the_least_squares_solution_for_all_of_their_estimates
     assert 1.5 < found.apart < 4.0
 
 
-def test_recordings_that_disagree_about_a_shared_value_are_noticed():
+def test_recordings_that_disagree_about_a_shared_value_are_reported():
     truth = MODEL.parameters.to_vector()
     own = MODEL.parameters.mask(frozenset({"transport_delay"}))
     covariance = np.diag((0.01 * np.abs(truth) * (MODEL.free | own)) ** 2)
@@ -89,7 +89,7 @@ def test_recordings_that_disagree_about_a_shared_value_are_noticed():
     assert labels[found.entry] == "inertia"
 
 
-def test_a_fixed_parameter_keeps_the_value_of_each_fit():
+def test_a_fixed_parameter_keeps_its_value_of_each_fit():
     truth = MODEL.parameters.to_vector()
     own = MODEL.parameters.mask(frozenset({"transport_delay"}))
     covariance = np.diag((0.01 * np.abs(truth) * (MODEL.free & ~own)) ** 2)
@@ -100,7 +100,7 @@ def test_a_fixed_parameter_keeps_the_value_of_each_fit():
     assert found.vectors[1][own] == moved[own]
 
 
-def test_terms_that_each_recording_has_for_itself_join_the_model():
+def test_terms_particular_to_each_recording_are_added():
     rung, own = with_each(named_rung("M3+tilt"), ("delay", "tilt", "sag"))
     assert rung.name == "M3+tilt+sag"
     assert own == {"transport_delay", "tilt", "voltage_sag"}
@@ -108,12 +108,12 @@ def test_terms_that_each_recording_has_for_itself_join_the_model():
         with_each(named_rung("M3"), ("dealy",))
 
 
-def test_one_recording_has_nobody_to_share_with():
+def test_a_single_recording_is_rejected():
     with pytest.raises(InputError, match="needs several recordings"):
         identify_all(fly(MODEL, 2.0), "M3", each=("delay",))
 
 
-def test_a_model_file_keeps_the_values_of_each_recording(tmp_path):
+def test_a_model_file_keeps_the_values_per_recording(tmp_path):
     delays = (0.01, 0.02)
     found = tuple(
         OfRecording(f"day{n}", replace(MODEL.parameters, transport_delay=delay), None)
@@ -147,9 +147,7 @@ def flights():
 
 
 @pytest.mark.slow
-def test_each_flight_of_the_twin_gets_its_own_delay_and_tilt_and_the_rest_is_known_better(
-    flights, monkeypatch
-):
+def test_each_flight_gets_its_own_delay_and_tilt_and_shares_the_rest(flights, monkeypatch):
     alone = []
 
     def watched(*given, **options):

@@ -51,7 +51,7 @@ def test_any_rate_with_any_gaps_is_preprocessed(recording, rate, gaps, seed):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("rate", "gaps"), [(8.0, 0.3), (17.0, 0.3)])
-def test_from_few_poses_a_model_is_learned_that_beats_coasting(recording, rate, gaps):
+def test_a_model_learned_from_few_poses_beats_coasting(recording, rate, gaps):
     trajectory = preprocess(seen_at(recording, rate, gaps), delay=0.0)
     model = identify(trajectory, "M3").model
     judged = verdict(model, trajectory, evaluate(model, trajectory))
@@ -60,7 +60,7 @@ def test_from_few_poses_a_model_is_learned_that_beats_coasting(recording, rate, 
 
 
 @pytest.mark.slow
-def test_between_rare_poses_switches_keep_their_time():
+def test_switching_times_between_sparse_poses_are_kept():
     recording = record(duration=20.0)
     trajectory = preprocess(seen_at(recording, 60.0, gaps=0.0), delay=0.0)
     found, truth = identify(trajectory, "M3").model, published_model("M3")

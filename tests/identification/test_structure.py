@@ -36,9 +36,7 @@ def model_of(rung) -> airpuck.Model:
     ("terms", "name", "degree"),
     [(("drag", "degree"), "M3+drag", 4), (("drag",), "M3+drag", 3), ((), "M3", 3)],
 )
-def test_terms_that_are_missing_join_the_rung_and_a_bend_raises_its_degree(
-    monkeypatch, terms, name, degree
-):
+def test_missing_terms_join_the_rung_and_a_bend_raises_its_degree(monkeypatch, terms, name, degree):
     loss = object.__new__(PredictionLoss)
     rounds = [[*terms], []]
 
@@ -65,7 +63,7 @@ def test_terms_that_are_missing_join_the_rung_and_a_bend_raises_its_degree(
 
 
 @pytest.mark.slow
-def test_errors_of_thrusts_contain_a_level_that_only_the_shape_at_rest_tells():
+def test_thrust_errors_include_the_weakly_observable_common_offset():
     """Curves like square roots: all forces that balance each other are off by one constant."""
     truth = replace(published_model("M3"), frame="body", indexing="start")
     v, powers = np.linspace(0.0, 1.0, 201), np.arange(1, 10)

@@ -63,7 +63,7 @@ def flight() -> Trajectory:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("applied", [3 / 240, pytest.param(7 / 240, marks=pytest.mark.study)])
-def test_delay_and_lag_are_found_together(applied):
+def test_delay_and_lag_are_estimated_jointly(applied):
     """From a delay two samples off and a lag half too long, in data without noise."""
     start = RUNGS["M3"].initial(VEHICLE)
     wrong = replace(start, motor_time_constant=1.5 * 0.0281, transport_delay=applied)
@@ -79,7 +79,7 @@ def test_delay_and_lag_are_found_together(applied):
 
 
 @pytest.mark.study
-def test_held_by_whole_samples_the_lag_is_biased(flight):
+def test_a_delay_fixed_to_whole_samples_biases_the_lag(flight):
     """Why the delay is continuous: 5 samples instead of 4.5 make the lag too short."""
     fit = identify(flight, preparation=FIXED, loss=LONG)
     assert fit.model.transport_delay == flight.delay
@@ -89,7 +89,7 @@ def test_held_by_whole_samples_the_lag_is_biased(flight):
 
 
 @pytest.mark.parametrize(("name", "indexing"), [("M0", "end"), ("M3", "start"), ("M3", "end")])
-def test_gradient_by_finite_differences(flight, name, indexing):
+def test_the_gradient_matches_finite_differences(flight, name, indexing):
     """Derivatives by lag and delay, against a plain rollout."""
     noise = np.random.default_rng(1).normal(size=flight.state.shape)
     noisy = replace(flight, state=flight.state + 0.01 * noise)
@@ -113,7 +113,7 @@ def test_gradient_by_finite_differences(flight, name, indexing):
 
 
 @pytest.mark.slow
-def test_predictions_use_the_delay_that_was_learned(flight, tmp_path):
+def test_predictions_use_the_learned_delay(flight, tmp_path):
     """A learned delay is used whatever preprocessing found, also after reading it from a file."""
     learned = replace(TRUTH, free=TRUTH.parameters.mask(frozenset({"transport_delay"})))
     other = flown(applied=6 / 240, seed=1)
@@ -125,7 +125,7 @@ def test_predictions_use_the_delay_that_was_learned(flight, tmp_path):
 
 
 @pytest.mark.slow
-def test_shifted_commands_count_from_the_nominal_delay():
+def test_already_shifted_commands_get_the_nominal_delay():
     """If the author had already shifted the commands, the amount is unknown."""
     fit = identify(fly(TRUTH, duration=6.0), preparation=LEARNED, loss=LONG)
     assert fit.model.transport_delay == pytest.approx(VEHICLE.nominal.transport_delay_s, abs=2e-5)
@@ -139,13 +139,13 @@ def test_rungs_without_a_lag_keep_the_delay(flight):
 
 
 @pytest.mark.slow
-def test_another_optimiser_does_not_learn_it(flight):
+def test_other_optimisers_do_not_learn_the_delay(flight):
     with pytest.raises(InputError, match="Levenberg-Marquardt only"):
         identify(flight, preparation=LEARNED, method=Adam(epochs=1))
 
 
 @pytest.mark.slow
-def test_warns_of_a_recording_with_another_delay(flight):
+def test_a_recording_with_another_delay_causes_a_warning(flight):
     strange = replace(flown(seed=2), delay=12 / 240)
     warnings = identify([flight, strange]).warnings
     assert any("check clocks" in warning for warning in warnings)

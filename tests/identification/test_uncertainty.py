@@ -72,7 +72,7 @@ def ledoit_wolf(samples):
 
 
 @pytest.mark.slow
-def test_equals_a_dense_computation():
+def test_the_result_matches_a_dense_computation():
     loss = clustered_loss()
     clusters = loss.clusters
     parameters = TRUTH.parameters
@@ -125,7 +125,7 @@ def linear_quadratic(rng, parameters, free, count=400, rows=8, noise=0.3, errors
     return Quadratic(np.sum(residual**2, axis=1), gradient, hessian), estimate
 
 
-def test_a_linear_model_whose_covariance_is_known():
+def test_the_covariance_of_a_linear_model_is_exact():
     parameters = TRUTH.parameters
     free = parameters.mask(frozenset({"center_of_mass", "inertia", "angle_offset"}))
     rng = np.random.default_rng(5)
@@ -138,7 +138,7 @@ def test_a_linear_model_whose_covariance_is_known():
     assert np.std([estimate for _, estimate in found]) == pytest.approx(expected, rel=0.15)
 
 
-def test_a_dozen_blocks_know_errors_to_a_tenth_if_all_directions_are_alike():
+def test_a_dozen_equivalent_blocks_give_errors_within_a_tenth():
     parameters = TRUTH.parameters
     free = parameters.mask(frozenset({"center_of_mass", "inertia", "angle_offset"}))
     rng = np.random.default_rng(6)
@@ -156,7 +156,7 @@ def test_a_dozen_blocks_know_errors_to_a_tenth_if_all_directions_are_alike():
     assert np.sqrt(np.mean((errors / expected - 1) ** 2)) < 0.14
 
 
-def test_directions_that_differ_keep_their_own_errors():
+def test_directions_with_different_variance_keep_their_own_errors():
     parameters = TRUTH.parameters
     free = parameters.mask(frozenset({"center_of_mass", "inertia", "angle_offset"}))
     rng = np.random.default_rng(7)
@@ -179,14 +179,13 @@ def quadratic_at_the_truth():
     return quadratic, parameters, free
 
 
-def test_what_is_between_blocks_widens_all():
+def test_variance_shared_between_blocks_widens_all_errors():
     quadratic, parameters, free = quadratic_at_the_truth()
     plain, wide = (along(quadratic, parameters, free, q) for q in (0.0, 0.19))
     np.testing.assert_allclose(wide.standard_errors, plain.standard_errors / 0.9)
 
 
-def test_errors_can_grow():
-    """Multiply by a factor, and by a matrix that mixes parameters."""
+def test_errors_grow_by_a_factor_or_a_mixing_matrix():
     quadratic, parameters, free = quadratic_at_the_truth()
     plain = along(quadratic, parameters, free)
     wide = grown(plain, 1.75 * np.eye(len(free)))
@@ -198,7 +197,7 @@ def test_errors_can_grow():
     assert grown(plain, mixing).standard_errors[first] == pytest.approx(expected, rel=1e-6)
 
 
-def test_an_error_of_its_own_widens_one_parameter(fit):
+def test_extra_variance_widens_only_its_parameter(fit):
     known = fit.uncertainty
     lag = fit.model.parameters.mask(frozenset({"motor_time_constant"}))
     after = widened(known, lag, 4e-6)
@@ -212,7 +211,7 @@ def test_an_error_of_its_own_widens_one_parameter(fit):
     assert np.isnan(widened(known, unknown, 4e-6).standard_errors[unknown]).all()
 
 
-def test_intervals_and_derived_quantities(fit):
+def test_intervals_of_parameters_and_derived_quantities_are_consistent(fit):
     known = fit.uncertainty
     assert known is fit.model.uncertainty
     free = fit.model.free
@@ -278,7 +277,7 @@ def test_parameters_at_a_constraint_have_no_standard_error(lag):
     assert found.covariance[0, 0] < 1e-20
 
 
-def test_a_curve_held_in_the_middle_moves_only_along_its_constraint():
+def test_a_curve_constrained_in_the_middle_varies_only_along_its_constraint():
     dipping = np.array([0.12, -0.6, 1.0])  # F' = 0 at φ = 0.2
     thrust = np.array([dipping, *TRUTH.parameters.thrust[1:]])
     parameters = replace(TRUTH.parameters, thrust=thrust)
@@ -293,7 +292,7 @@ def test_a_curve_held_in_the_middle_moves_only_along_its_constraint():
 
 
 @pytest.mark.slow
-def test_m4_knows_products_only():
+def test_m4_identifies_only_products():
     fit = identify(noisy(), "M4")
     known = fit.identifiability
     assert known.free - known.rank == 6
@@ -316,7 +315,7 @@ def test_m4_knows_products_only():
     np.testing.assert_allclose(physical, thrust, rtol=1e-5)
 
 
-def test_the_gauge_changes_neither_predictions_nor_errors_of_what_can_be_observed():
+def test_the_gauge_affects_neither_predictions_nor_observable_errors():
     loss = clustered_loss()
     rung = named_rung("M4+pair+sag")
     start = rung.initial(VEHICLE)
@@ -353,7 +352,7 @@ def physical(parameters):
     return VEHICLE.mass_kg * length * np.asarray(parameters.thrust).sum(axis=1)
 
 
-def test_a_scale_that_is_given_is_no_gauge():
+def test_a_given_scale_is_not_a_gauge():
     rung = replace(named_rung("M4"), free=frozenset({"configuration_matrix"}))
     start = rung.initial(VEHICLE)
     assert not gauge_directions(start, rung.mask(start))
@@ -383,7 +382,7 @@ def test_a_motor_at_one_speed_is_named():
     assert note.count("motor_b_1") == 3
 
 
-def test_nothing_is_known_without_information():
+def test_without_information_all_is_unknown():
     parameters = TRUTH.parameters
     free = RUNGS["M3"].mask(parameters)
     size = len(free)
@@ -394,7 +393,7 @@ def test_nothing_is_known_without_information():
 @pytest.mark.parametrize(
     ("count", "value", "reason"), [(1, 1.0, "single block"), (4, np.nan, "not finite")]
 )
-def test_says_why_there_are_no_standard_errors(count, value, reason):
+def test_missing_standard_errors_are_explained(count, value, reason):
     parameters = TRUTH.parameters
     free = RUNGS["M3"].mask(parameters)
     size = len(free)
@@ -406,7 +405,7 @@ def test_says_why_there_are_no_standard_errors(count, value, reason):
     assert reason in found.notes[0]
 
 
-def test_the_file_reads_back_bit_equal(tmp_path, fit):
+def test_a_model_file_with_uncertainty_round_trips(tmp_path, fit):
     for name in ("M3", "M4"):
         model = fit.model if name == "M3" else identify(noisy(), name).model
         model.save(tmp_path / "model.toml")
@@ -420,7 +419,7 @@ def test_the_file_reads_back_bit_equal(tmp_path, fit):
         )
 
 
-def test_a_damaged_table_is_refused(tmp_path, fit):
+def test_a_damaged_table_is_rejected(tmp_path, fit):
     path = tmp_path / "model.toml"
     fit.model.save(path)
     text = path.read_text()
@@ -442,7 +441,7 @@ def test_changed_parameters_have_no_uncertainty(tmp_path, fit):
     assert read_model(tmp_path / "model.toml").uncertainty is None
 
 
-def test_a_weighted_window_counts_as_often():
+def test_a_weighted_window_counts_as_repeated():
     loss = replace(clustered_loss(), clusters=None)
     windows = loss.windows
     counted = np.arange(len(windows)) % 3.0
@@ -467,7 +466,7 @@ def commands_at_random(seed, duration):
 
 
 @pytest.mark.study
-def test_intervals_hold_the_truth():
+def test_intervals_cover_the_truth():
     from airpuck.craft.table import Table
     from airpuck.preprocessing.pipeline import preprocess
     from airpuck.twin.batch import TwinBatch
@@ -498,7 +497,7 @@ def test_intervals_hold_the_truth():
     assert 0.85 <= np.mean(np.concatenate(held)) <= 0.99
 
 
-def test_what_blocks_share_is_what_a_moving_average_loses():
+def test_variance_shared_across_block_borders_matches_a_moving_average():
     """Scores that sum up the L samples of their window, white noise: the variance by hand."""
     loss = prediction_loss(Loss(), [noisy(duration=40.0)], VEHICLE)
     windows, clusters = loss.windows, loss.clusters
@@ -538,7 +537,7 @@ def test_blocks_are_shortened_until_there_are_enough(duration):
     assert counts.max() == 13 and counts.min() >= 12
 
 
-def test_an_error_beyond_all_possible_values_is_none():
+def test_an_absurdly_large_error_counts_as_unknown():
     """The lag of a slow camera: its information is not zero, but rounding."""
     parameters = nominal_model(VEHICLE).parameters
     vector, entry = parameters.to_vector(), len(VEHICLE.propellers) * 3 + 1
@@ -555,7 +554,7 @@ def test_an_error_beyond_all_possible_values_is_none():
         np.testing.assert_allclose(force, 1e-3 * np.sqrt(3), rtol=1e-6)
 
 
-def test_intervals_of_a_short_lag_and_of_the_delay_hold():
+def test_intervals_of_a_short_lag_and_of_the_delay_cover_the_truth():
     true_lag, true_delay, noise = 5e-3, 37e-3, 1e-4
     random = np.random.default_rng(0)
     linear, held = [], []
@@ -584,7 +583,7 @@ def test_intervals_of_a_short_lag_and_of_the_delay_hold():
 
 
 @pytest.mark.parametrize("share", [0.2, 0.4, 0.8])
-def test_the_interval_of_a_short_lag_covers_a_symmetric_one_of_its_square(share):
+def test_the_interval_of_a_short_lag_covers_a_symmetric_one_for_its_square(share):
     """± 2 τ times the error of τ, for the variance τ² of a step response; never below zero."""
     found = nominal_parameters(default_vehicle())
     tau, lag = float(found.motor_time_constant), found.mask(frozenset({"motor_time_constant"}))
@@ -605,7 +604,7 @@ def test_the_interval_of_a_short_lag_covers_a_symmetric_one_of_its_square(share)
 
 
 @pytest.mark.slow
-def test_a_fit_widens_the_interval_of_a_lag_that_it_hardly_knows(monkeypatch):
+def test_a_fit_widens_the_interval_of_a_poorly_known_lag(monkeypatch):
     flight, stated = noisy(noise=0.006), []
     given = {"loss": Loss(spacing=29 / 240), "preparation": Preparation(faults="keep", delay="fit")}
     for widening in (with_lag_squared, lambda known, _: known):

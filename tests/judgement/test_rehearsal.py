@@ -32,7 +32,7 @@ def shown(model: Model, flight) -> EffectErrors:
     return found
 
 
-def test_the_craft_of_a_recording_has_the_strength_that_it_shows(flight):
+def test_the_rehearsed_craft_has_the_strength_seen_in_the_recording(flight):
     weaker = scaled(MODEL, [0.8, 1.0, 1.0, 1.2, 1.0, 1.0])
     seen = as_seen(weaker, shown(weaker, flight))
     full = np.asarray(weaker.parameters.thrust).sum(axis=1)
@@ -41,7 +41,7 @@ def test_the_craft_of_a_recording_has_the_strength_that_it_shows(flight):
 
 
 @pytest.mark.parametrize("delay", [0.015, 0.03, 0.045])
-def test_the_craft_of_a_recording_has_the_delay_that_it_shows(flight, delay):
+def test_the_rehearsed_craft_has_the_delay_seen_in_the_recording(flight, delay):
     true = 0.03
     sent = flight.command_time - true
     recorded = replace(flight, command_time=sent, delay=true, delay_known=True)
@@ -50,7 +50,7 @@ def test_the_craft_of_a_recording_has_the_delay_that_it_shows(flight, delay):
 
 
 @pytest.mark.slow
-def test_a_craft_that_leans_on_a_rail_at_the_goal_does_not_settle():
+def test_a_craft_stopped_by_a_rail_near_the_goal_has_not_settled():
     """A rail 5 mm before the goal stops it within the tolerance."""
     settings = default_twin_settings().without_on_board()
     length = 2 * (GOAL[0] - 0.005 + MODEL.vehicle.radius_m)
@@ -59,7 +59,7 @@ def test_a_craft_that_leans_on_a_rail_at_the_goal_does_not_settle():
     assert flown_margin(MODEL, MODEL, settings.model_copy(update={"table": table})) == 0
 
 
-def test_the_simulated_cameras_are_those_of_the_recording():
+def test_the_simulated_cameras_match_the_recording():
     seen = Cameras(rate_hz=120, position_noise_m=1e-3, yaw_noise_rad=0.01, stamp_jitter_s=2.887e-4)
     cameras = like(seen, MODEL).motion_capture
     assert (cameras.position_noise_m, cameras.yaw_noise_rad, cameras.rate_hz) == (1e-3, 0.01, 120)
@@ -74,7 +74,7 @@ def test_a_controller_settles_on_its_own_craft(flight):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("rate", [118.0, 122.0, 130.0])
-def test_rounded_stamps_of_an_ordinary_camera_do_not_unsettle_the_controller(rate):
+def test_rounded_stamps_of_an_ordinary_camera_do_not_prevent_settling(rate):
     seen = Cameras(rate_hz=rate, position_noise_m=1.5e-4, yaw_noise_rad=1.8e-3, stamp_jitter_s=3e-4)
     slow = replace(MODEL.parameters, motor_time_constant=0.06, transport_delay=0.035)
     model = replace(MODEL, parameters=slow, cameras=seen)
@@ -83,7 +83,7 @@ def test_rounded_stamps_of_an_ordinary_camera_do_not_unsettle_the_controller(rat
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["atmos", "freeflyer2"])
-def test_a_slow_craft_with_its_own_pwm_settles_with_the_packaged_controller(name):
+def test_a_slow_craft_with_pwm_settles_with_the_packaged_controller(name):
     model = nominal_model(read_vehicle(EXAMPLES / f"free_flyers/{name}.toml"))
     settings = default_twin_settings()
     room = {"length_m": 4.0, "width_m": 3.0}
@@ -96,7 +96,7 @@ def test_a_slow_craft_with_its_own_pwm_settles_with_the_packaged_controller(name
 @pytest.mark.parametrize(
     ("margins", "margin"), [([2.0], 2.0), ([1.3, 0.8, 1.2], 0.8), ([0.9], 0.9)]
 )
-def test_the_smallest_margin_decides_if_the_first_is_close(monkeypatch, margins, margin):
+def test_a_close_first_margin_is_repeated_and_the_smallest_counts(monkeypatch, margins, margin):
     monkeypatch.setattr("airpuck.judgement.rehearsal._margin", lambda *given: margins[given[-1]])
     assert flown_margin(MODEL, MODEL, default_twin_settings()) == margin
 
@@ -117,7 +117,7 @@ def test_a_controller_does_not_settle_without_a_motor():
         ([0.5, 0.5, 0.5], "motors are too weak or unequal"),
     ],
 )
-def test_the_remedy_follows_from_further_flights(flight, monkeypatch, margins, told):
+def test_further_flights_determine_the_remedy(flight, monkeypatch, margins, told):
     """Flights: as seen; with good cameras; with a calmer tuning, or of the model itself."""
     outcomes = iter(margins)
     monkeypatch.setattr("airpuck.judgement.rehearsal.flown_margin", lambda *_: next(outcomes))
@@ -127,7 +127,7 @@ def test_the_remedy_follows_from_further_flights(flight, monkeypatch, margins, t
     assert told in found.remedy and found.settles == (not told)
 
 
-def test_a_craft_that_settles_only_by_luck_is_not_trusted(flight, monkeypatch):
+def test_a_craft_that_settles_by_luck_is_not_trusted(flight, monkeypatch):
     """Without a motor nothing turns it one way: it drifts away again."""
     monkeypatch.setattr("airpuck.judgement.rehearsal.flown_margin", lambda *_: 2.0)
     motor = np.array([1.0, 1.0, 1e-3, 1.0, 1.0, 1.0])
@@ -140,11 +140,11 @@ def test_a_craft_that_settles_only_by_luck_is_not_trusted(flight, monkeypatch):
 
 
 @pytest.mark.slow
-def test_mpc_is_flown_if_asked_for(flight):
+def test_mpc_is_flown_on_request(flight):
     assert rehearse(MODEL, flight, shown(MODEL, flight), "mpc").settles
 
 
-def test_no_controller_is_no_trust(flight):
+def test_a_model_without_a_stable_controller_is_not_trusted(flight):
     falling = replace(
         MODEL, parameters=replace(MODEL.parameters, thrust=np.tile([1.0, 0.0, -0.9], (6, 1)))
     )
@@ -152,7 +152,7 @@ def test_no_controller_is_no_trust(flight):
     assert found.remedy.startswith("No controller can be designed") and not found.settles
 
 
-def test_the_next_step_is_one_that_was_not_taken():
+def test_the_next_step_was_not_taken_yet():
     assert "Leave out `--model`" in next_step(replace(MODEL, name="M2+drag"))
     for name in ("M3", "M3+tilt"):  # as the library chooses it
         words = next_step(replace(MODEL, name=name))

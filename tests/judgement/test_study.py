@@ -98,7 +98,7 @@ def test_python_command_line_and_campaign_give_the_same_model(name, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_named_model_that_lacks_drag_is_told():
+def test_a_requested_model_that_lacks_drag_is_reported():
     trajectory = airpuck.preprocess(recorded("drag"), TRUTH.vehicle)
     study = airpuck.study(trajectory, model="M3")
     assert study.model.name == "M3"
@@ -129,7 +129,7 @@ def test_a_mirrored_recording_ends_with_its_cause_and_all_files(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_battery_that_loses_thrust_is_a_change_during_the_recording():
+def test_thrust_lost_by_a_battery_is_a_change_during_the_recording():
     content = default_twin_settings().model_dump()
     content["effects"]["battery_sag_1_s"] = 0.15 / 20.0
     settings = airpuck.TwinSettings.model_validate(content)
@@ -150,7 +150,7 @@ def test_a_battery_that_loses_thrust_is_a_change_during_the_recording():
         ("change of motor_a_1", 0.1, "motor_a_1 gives 10 % more thrust"),
     ],
 )
-def test_what_changed_in_flight_is_told_with_its_sign(term, value, told, monkeypatch):
+def test_a_change_in_flight_is_reported_with_its_sign(term, value, told, monkeypatch):
     flight = fly(TRUTH, 4.0, seed=1)
     lacks = MissingTerm(term, 1e-6, 0.1, 0.1, (value,), np.zeros(1))
     monkeypatch.setattr("airpuck.judgement.study.lacking_on", lambda *_: (lacks,))
@@ -159,7 +159,7 @@ def test_what_changed_in_flight_is_told_with_its_sign(term, value, told, monkeyp
 
 
 @pytest.mark.parametrize(("span", "share"), [(None, 1.0), ((0.25, 0.75), 0.5)])
-def test_a_study_learns_from_the_span_that_is_asked_for(span, share, monkeypatch):
+def test_a_study_learns_from_the_requested_span(span, share, monkeypatch):
     seen = []
 
     def structured(training, *_, **__):
@@ -196,7 +196,7 @@ def test_the_first_hour_of_a_long_recording_is_studied_and_reported(monkeypatch)
 
 
 @pytest.mark.slow
-def test_an_error_of_all_directions_is_named_with_its_size():
+def test_an_angle_error_common_to_all_propellers_is_named_with_its_size():
     turned = [
         one.model_copy(update={"direction_deg": one.direction_deg + 4.0})
         for one in TRUTH.vehicle.propellers
@@ -211,7 +211,7 @@ def test_an_error_of_all_directions_is_named_with_its_size():
 
 @pytest.mark.data
 @pytest.mark.slow
-def test_the_order_of_models_does_not_depend_on_the_model_that_finds_the_faults(experiments):
+def test_the_order_of_models_does_not_depend_on_which_one_finds_the_faults(experiments):
     flight = read_authors_experiment(experiments / VALIDATION / "data.pt")
     models = [published_model(name) for name in ("M0", "M2", "M3", "M4")]
     evaluations = [evaluate(model, flight) for model in models]
@@ -228,7 +228,7 @@ def test_the_order_of_models_does_not_depend_on_the_model_that_finds_the_faults(
         assert same[clear].all()
 
 
-def test_a_start_is_healthy_unless_its_window_touches_a_fault_or_the_recovery():
+def test_a_start_is_healthy_unless_its_window_overlaps_fault_or_recovery():
     found = evaluate(TRUTH, noisy(TRUTH, 4.0))
     start, period = found.every_start.start, found.sample_period
     fault = Span(2.0, 2.3, "radio out")

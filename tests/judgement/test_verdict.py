@@ -40,7 +40,7 @@ def judged(model: Model, trajectory):
 
 
 @pytest.mark.parametrize("missing", [0.1, 0.4])
-def test_a_craft_with_less_thrust_than_modelled_is_missed_by_that_share(flight, missing):
+def test_a_craft_with_less_thrust_than_modelled_has_that_relative_error(flight, missing):
     # All accelerations are proportional to thrust, apart from the craft's slow rotation.
     model = scaled(MODEL, 1 - missing)
     found = judged(model, flight)
@@ -53,13 +53,13 @@ def test_a_craft_with_less_thrust_than_modelled_is_missed_by_that_share(flight, 
     assert found.trusted == (missing == 0.1)
 
 
-def test_what_is_said_of_a_wrong_model_names_the_way_and_its_error(flight):
+def test_a_verdict_on_a_wrong_model_names_the_direction_and_the_error(flight):
     said = " ".join(judged(scaled(MODEL, 0.6), flight).sentences)
     assert "cannot be trusted" in said
     assert "forward 6" in said and "too small" in said
 
 
-def test_an_error_within_the_limit_counts_together_with_chance(flight):
+def test_an_error_within_the_limit_counts_with_its_uncertainty(flight):
     sure = known(**{f"thrust {one} φ^3": 0.165 for one in MODEL.vehicle.propeller_names})
     assert sure.uncertainty is not None
     model = scaled(MODEL, 0.76)
@@ -69,14 +69,14 @@ def test_an_error_within_the_limit_counts_together_with_chance(flight):
     assert "too small and uncertain by another 2" in found.sentences[1]
 
 
-def test_a_model_without_thrust_predicts_like_a_craft_that_coasts(flight):
+def test_a_model_without_thrust_predicts_like_a_coasting_craft(flight):
     still = scaled(MODEL, 0.0)
     found = Evidence(still, flight, evaluate(still, flight)).missed
     np.testing.assert_allclose(found, 1, rtol=0.05)
     assert (Evidence(MODEL, flight, evaluate(MODEL, flight)).missed < 0.02).all()
 
 
-def test_a_long_delay_makes_the_recordings_clocks_suspect(flight):
+def test_a_long_delay_makes_the_clocks_suspect(flight):
     late = MODEL.with_delay(MODEL.transport_delay + 0.3)
     earlier = replace(
         flight, command_time=flight.command_time - 0.321, delay=0.321, delay_known=True
@@ -87,14 +87,14 @@ def test_a_long_delay_makes_the_recordings_clocks_suspect(flight):
     assert "clocks" in found.sentences[1]
 
 
-def test_a_model_that_learned_on_other_clocks_is_not_trusted(flight):
+def test_a_model_learned_with_wrong_clocks_is_not_trusted(flight):
     later = replace(flight, command_time=flight.command_time - 0.01, delay=0.01, delay_known=True)
     found = judged(MODEL.with_delay(0.03), later)
     assert found.outcome == "not_trusted"
     assert "20 ms earlier than modelled" in found.sentences[1]
 
 
-def test_motion_before_its_commands_makes_the_recordings_clocks_suspect(flight):
+def test_motion_before_its_commands_makes_the_clocks_suspect(flight):
     early = replace(flight, command_time=flight.command_time + 0.05, delay_known=True)
     free = MODEL.free | MODEL.parameters.mask(frozenset({"transport_delay"}))
     for model in (MODEL, replace(MODEL, free=free).with_delay(0.0)):
@@ -103,7 +103,7 @@ def test_motion_before_its_commands_makes_the_recordings_clocks_suspect(flight):
         assert "stamped early" in found.sentences[1]
 
 
-def test_motors_under_each_others_name_are_told(flight):
+def test_swapped_motors_are_named(flight):
     order = [0, 1, 3, 2, 4, 5]
     swapped = replace(flight, command=flight.command[:, order])
     found = judged(MODEL, swapped)
@@ -113,7 +113,7 @@ def test_motors_under_each_others_name_are_told(flight):
     assert "airpuck check" in found.sentences[1]
 
 
-def test_positions_in_feet_give_an_inertia_that_no_craft_has(flight):
+def test_positions_in_feet_give_an_impossible_inertia(flight):
     parameters = replace(MODEL.parameters, inertia=3.28 * MODEL.parameters.inertia)
     parameters = replace(parameters, thrust=3.28 * np.asarray(parameters.thrust))
     state = flight.state * [3.28, 3.28, 1.0, 3.28, 3.28, 1.0]
@@ -122,7 +122,7 @@ def test_positions_in_feet_give_an_inertia_that_no_craft_has(flight):
     assert "unit of the positions" in found.sentences[1]
 
 
-def test_curves_of_a_wrong_shape_are_told_at_low_speed(flight):
+def test_wrong_curve_shapes_are_reported_at_low_speed(flight):
     speed = np.linspace(0, 1, 101)[:, None]
     powers = speed ** np.arange(1, 4)
     true = powers @ np.asarray(MODEL.parameters.thrust).T
@@ -135,7 +135,7 @@ def test_curves_of_a_wrong_shape_are_told_at_low_speed(flight):
 
 
 @pytest.mark.parametrize(("right", "told"), [([0], True), ([0, 1, 2, 3], False)])
-def test_curves_count_as_wrong_only_if_most_motions_are(flight, right, told, monkeypatch):
+def test_curves_count_as_wrong_only_if_most_motions_are_wrong(flight, right, told, monkeypatch):
     """Motors with the right curves leave some motions right, and others wrong."""
     monkeypatch.setattr("airpuck.judgement.verdict.rehearse", lambda *_: Rehearsal(2.0))
     speed = np.linspace(0, 1, 101)[:, None]
@@ -151,7 +151,7 @@ def test_curves_count_as_wrong_only_if_most_motions_are(flight, right, told, mon
     assert ("wrong shape" in " ".join(judged(model, flight).sentences)) is told
 
 
-def test_commands_that_reach_half_of_their_range_leave_the_rest_to_guess():
+def test_half_the_command_range_is_not_enough_excitation():
     def linear(thrust: float) -> Model:
         curves = np.tile([thrust, 0.0, 0.0], (6, 1))
         return replace(MODEL, parameters=replace(MODEL.parameters, thrust=curves))
@@ -167,7 +167,7 @@ def test_commands_that_reach_half_of_their_range_leave_the_rest_to_guess():
     assert judged(replace(model, vehicle=vehicle), halved).trusted
 
 
-def test_a_flight_without_switches_excites_too_little(flight):
+def test_a_flight_without_switching_excites_too_little(flight):
     still = replace(flight, command=np.full_like(flight.command, 0.03))
     rng = np.random.default_rng(0)
     state = np.zeros_like(flight.state) + rng.normal(0, 1e-4, flight.state.shape)
@@ -192,7 +192,7 @@ def test_errors_are_relative_to_natural_sizes():
     assert found["F(1) motor_a_1"] == pytest.approx(by_hand, rel=1e-4)
 
 
-def test_a_lag_that_is_not_known_is_said_with_a_remedy():
+def test_an_unknown_lag_is_reported_with_a_remedy():
     found = verdict(known(motor_time_constant=0.076))
     assert found.outcome == "not_enough_excitation"
     words = " ".join(found.sentences)
@@ -202,7 +202,7 @@ def test_a_lag_that_is_not_known_is_said_with_a_remedy():
     assert found.sentences[0].startswith("The data do not tell whether M3 can be trusted")
 
 
-def test_numbers_have_the_digits_that_their_errors_allow(flight):
+def test_numbers_have_as_many_digits_as_their_errors_allow(flight):
     model = known(motor_time_constant=0.002, transport_delay=0.003, inertia=1e-6)
     said = " ".join(judged(model, flight).sentences)
     response = 1e3 * (MODEL.parameters.motor_time_constant + MODEL.transport_delay)
@@ -219,7 +219,7 @@ def test_a_model_whose_controller_does_not_settle_is_not_trusted(flight, monkeyp
     assert found.to_json()["controller"]["lqr"]["margin"] == 0.5
 
 
-def test_the_remedy_for_a_law_that_was_asked_for_is_told(flight, monkeypatch):
+def test_the_remedy_for_a_requested_law_is_reported(flight, monkeypatch):
     """The usual law settles; what another one needs is no reason for distrust."""
 
     def flown(model, trajectory, effects, law=None):
@@ -232,7 +232,7 @@ def test_the_remedy_for_a_law_that_was_asked_for_is_told(flight, monkeypatch):
     assert "needs calm" not in " ".join(verdict(MODEL, flight).sentences)
 
 
-def test_a_model_may_fly_although_its_parameters_are_wrong(flight):
+def test_a_model_may_fly_despite_wrong_parameters(flight):
     model = known()
     assert model.uncertainty is not None
     off = scaled(MODEL, 0.85)
@@ -246,7 +246,7 @@ def test_a_model_may_fly_although_its_parameters_are_wrong(flight):
     assert judged(MODEL, flight).parameters.right is None
 
 
-def test_a_cause_that_another_check_found_comes_first(flight):
+def test_a_cause_found_by_another_check_comes_first(flight):
     cause = Finding("axes", "y points the wrong way", "6 of 6 motors", "Set axes.y.")
     found = verdict(MODEL, flight, causes=[cause])
     assert found.outcome == "suspect_recording"
@@ -254,7 +254,7 @@ def test_a_cause_that_another_check_found_comes_first(flight):
     assert found.findings == (cause,)
 
 
-def test_a_response_time_whose_parts_trade_off_is_known(flight):
+def test_a_response_time_is_known_even_if_its_parts_trade_off(flight):
     model = known()
     assert model.uncertainty is not None
     lag, delay = LABELS.index("motor_time_constant"), LABELS.index("transport_delay")
@@ -269,7 +269,7 @@ def test_a_response_time_whose_parts_trade_off_is_known(flight):
     assert any("Unknown: τ" in sentence for sentence in found.sentences)
 
 
-def test_a_thrust_that_is_not_known_needs_excitation():
+def test_an_unknown_thrust_needs_more_excitation():
     weak = {f"thrust motor_a_1 φ^{k}": 0.9 for k in (1, 2, 3)}
     found = verdict(known(**weak))
     assert found.outcome == "not_enough_excitation"
@@ -277,7 +277,7 @@ def test_a_thrust_that_is_not_known_needs_excitation():
     assert "F(1) motor_a_1" in " ".join(found.sentences)
 
 
-def test_a_delay_learned_beside_unknown_thrusts_says_nothing_about_clocks(flight):
+def test_a_delay_learned_with_unknown_thrusts_accuses_no_clock(flight):
     # A fit to a craft that hovers: thrusts unknown, and a delay of 71 ± 2 ms where it is 21 ms.
     delay = MODEL.free | MODEL.parameters.mask(frozenset({"transport_delay"}))
     outcomes = {}
@@ -293,7 +293,7 @@ def test_a_delay_learned_beside_unknown_thrusts_says_nothing_about_clocks(flight
     assert outcomes == {0.9: "not_enough_excitation", 1e-3: "suspect_recording"}
 
 
-def test_a_motor_known_to_be_dead_is_known():
+def test_the_thrust_of_a_dead_motor_can_be_known():
     model = known()
     assert model.uncertainty is not None
     thrust = np.array(model.parameters.thrust)
@@ -307,7 +307,7 @@ def test_a_motor_known_to_be_dead_is_known():
     assert "F(1) motor_b_1" not in " ".join(found.sentences)
 
 
-def test_what_the_data_say_nothing_about_is_not_determined():
+def test_parameters_without_information_are_not_determined():
     model = known()
     assert model.uncertainty is not None
     entry = LABELS.index("inertia")
@@ -322,7 +322,7 @@ def test_what_the_data_say_nothing_about_is_not_determined():
     assert found.to_json()["relative_errors"]["I"] is None
 
 
-def test_without_a_recording_nothing_is_judged(flight):
+def test_without_a_recording_there_is_no_verdict(flight):
     found = verdict(published_model("M3"))
     assert found.outcome == "not_judged" and found.trusted is False
     assert "airpuck evaluate" in found.sentences[0]
@@ -333,13 +333,13 @@ def test_without_a_recording_nothing_is_judged(flight):
     assert "judged by the data it was learned from" in verdict(known(), flight).sentences[0]
 
 
-def test_a_fit_that_did_not_end_is_not_trusted():
+def test_an_unconverged_fit_is_not_trusted():
     found = verdict(replace(known(), fit={"converged": False}))
     assert found.outcome == "not_trusted"
     assert "did not converge" in found.sentences[1]
 
 
-def test_errors_of_other_parameters_are_nobodys():
+def test_errors_of_other_parameters_accuse_no_motor():
     """A model that was changed after its fit has no errors, instead of infinite ones."""
     found = verdict(known().with_delay(0.03))
     assert found.outcome == "not_judged"
@@ -364,7 +364,7 @@ def of_timing(model):
     return [words for words in verdict(model).sentences if "the split is not" in words]
 
 
-def test_the_sum_of_lag_and_delay_is_known_where_the_split_is_not():
+def test_the_sum_of_lag_and_delay_is_known_even_if_the_split_is_not():
     model = timed(3e-3, 2.5e-3, -0.96)
     # By hand: √(3² + 2.5² - 2·0.96·3·2.5) = √0.85 ms; the published lag is 28.06 ms.
     [words] = of_timing(model)
@@ -381,7 +381,7 @@ def test_the_sum_of_lag_and_delay_is_known_where_the_split_is_not():
     assert of_timing(MODEL) == []
 
 
-def test_a_finding_of_a_model_that_flies_is_said_once(flight):
+def test_a_finding_about_a_flying_model_is_reported_once(flight):
     lacking = Finding("physics", "The model lacks the term tilt", "0.5 %", "Add +tilt.")
     found = verdict(known(), flight, causes=[lacking])
     assert found.trusted and found.parameters.why == ("The model lacks the term tilt",)

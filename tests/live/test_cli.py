@@ -41,12 +41,12 @@ FLY, EXCITE = ("fly", MODEL), ("fly-excitation",)
         ((*EXCITE, "--vehicle", "v.toml"), "v.toml: there is no such file"),
     ],
 )
-def test_bad_usage_is_refused_in_one_line(arguments, problem):
+def test_bad_usage_ends_in_one_line(arguments, problem):
     with pytest.raises(InputError, match=problem):
         run(*arguments)
 
 
-def test_an_estimator_is_refused_for_a_pilot_that_needs_none(tmp_path):
+def test_an_estimator_is_rejected_for_a_pilot_without_one(tmp_path):
     (tmp_path / "mine.py").write_text(
         "import airpuck\n\nclass Mine(airpuck.Pilot):\n    def step(self, time): ...\n"
     )
@@ -67,7 +67,7 @@ def test_an_estimator_is_refused_for_a_pilot_that_needs_none(tmp_path):
         ("fly-plan --plan p.toml", "airpuck fly MODEL --plan FILE"),
     ],
 )
-def test_an_old_spelling_is_refused_with_the_line_to_write(old, new):
+def test_an_outdated_command_line_is_rejected_with_its_replacement(old, new):
     with pytest.raises(InputError, match=f"{new}$"):
         application.commands()(old.split(), prog_name="airpuck", standalone_mode=False)
 
@@ -88,7 +88,7 @@ def a_plan(path, **changes):
     return path
 
 
-def test_plans_of_the_wrong_kind_are_refused(tmp_path):
+def test_plans_of_the_wrong_kind_are_rejected(tmp_path):
     optimal, excitation = a_plan(tmp_path / "plan.toml"), tmp_path / "excitation.toml"
     ExcitationPlan().save(excitation)
     with pytest.raises(InputError, match=r"excitation.toml: .* expected a time-optimal plan"):
@@ -101,7 +101,7 @@ def test_plans_of_the_wrong_kind_are_refused(tmp_path):
         run("fly", MODEL, "--plan", str(model))
 
 
-def test_a_plan_that_cannot_be_flown_from_rest_within_the_geofence_is_refused(tmp_path):
+def test_a_plan_that_cannot_start_from_rest_in_the_geofence_is_rejected(tmp_path):
     with pytest.raises(InputError, match=r"plan.toml: leaves the geofence, ±0.4 m by ±1 m"):
         run("fly", MODEL, "--plan", str(a_plan(tmp_path / "plan.toml")), "--geofence", "0.4", "1")
     moving = [0.0, 0.0, 0.0, 0.5, 0.0, 0.0, *[0.03] * 6]
@@ -118,13 +118,13 @@ def test_the_predictive_law_stays_within_the_geofence_or_the_rails():
     assert Guarded().bounds(craft)[1] == Table()
 
 
-def test_a_model_has_its_vehicle(tmp_path):
+def test_a_vehicle_beside_a_model_is_rejected(tmp_path):
     published_model("M3").vehicle.save(tmp_path / "v.toml")
     with pytest.raises(InputError, match="--vehicle: a model includes its vehicle"):
         run("fly-excitation", "--model", MODEL, "--vehicle", str(tmp_path / "v.toml"))
 
 
-def test_set_points_of_a_file_stay_within_the_geofence(tmp_path):
+def test_set_points_in_a_file_must_lie_within_the_geofence(tmp_path):
     points = tmp_path / "points.toml"
     write_toml(points, {"setpoints": [{"at_s": 0.0, "x_m": 0.9, "y_m": 0.0, "yaw_rad": 0.0}]})
     with pytest.raises(InputError, match=r"\(0.9, 0\)"):
@@ -132,7 +132,7 @@ def test_set_points_of_a_file_stay_within_the_geofence(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_recorder_that_finds_the_disk_full_says_so(domain, tmp_path, monkeypatch):
+def test_a_recorder_reports_a_full_disk(domain, tmp_path, monkeypatch):
     from airpuck.live.record import BagFile, record
     from airpuck.live.settings import LiveSettings
 

@@ -75,7 +75,7 @@ def build(given_values, node, description, make, array):
 @pytest.mark.parametrize("msgtype", SENT)
 @given(data=st.data())
 @examples(8)
-def test_cyclone_writes_the_bytes_that_rosbags_writes(store, msgtype, data):
+def test_cyclone_and_rosbags_write_the_same_bytes(store, msgtype, data):
     plain = values(data.draw, Nodetype.NAME, msgtype)
     root = (Nodetype.NAME, msgtype)
     ours = build(plain, *root, lambda name: graph.idl_struct(TYPES, name, STRUCTS), list)
@@ -86,7 +86,7 @@ def test_cyclone_writes_the_bytes_that_rosbags_writes(store, msgtype, data):
     assert type(ours).deserialize(sent) == ours
 
 
-def test_names_as_ros_2_mangles_them():
+def test_names_are_mangled_as_in_ros_2():
     # As `ddsls` lists the topics of the real table.
     assert graph.dds_topic("/optitrack/drone/pose") == "rt/optitrack/drone/pose"
     assert (
@@ -96,7 +96,7 @@ def test_names_as_ros_2_mangles_them():
     assert pose.__idl_typename__ == "geometry_msgs::msg::dds_::PoseStamped_"
 
 
-def test_names_come_back_and_those_of_others_stay_what_they_are():
+def test_names_are_demangled_and_foreign_names_unchanged():
     for topic in ("/rosout", "/drone/control"):
         assert graph.ros_topic(graph.dds_topic(topic)) == topic
     assert graph.ros_type(graph.dds_type(HOLOHOVER_CONTROL)) == HOLOHOVER_CONTROL
@@ -105,7 +105,7 @@ def test_names_come_back_and_those_of_others_stay_what_they_are():
     assert graph.ros_type("HelloWorldData::Msg") == "HelloWorldData::Msg"
 
 
-def test_a_missing_definition_is_a_value_error():
+def test_a_missing_definition_raises_value_error():
     with pytest.raises(ValueError, match="other_msgs/msg/Thing is missing"):
         graph.idl_struct(get_types_from_msg("other_msgs/Thing thing", "a/msg/A"), "a/msg/A")
 
@@ -115,7 +115,7 @@ def test_a_missing_definition_is_a_value_error():
 LOOPBACK = next(name for _, name in socket.if_nameindex() if name.startswith("lo"))
 
 
-def test_by_default_only_the_loopback_interface_and_its_address_are_named():
+def test_by_default_only_the_loopback_interface_is_used():
     domain = ElementTree.fromstring(settings.domain_config(None)).find("Domain")
     assert domain is not None
     assert [item.get("name") for item in domain.iter("NetworkInterface")] == [LOOPBACK]
@@ -123,7 +123,7 @@ def test_by_default_only_the_loopback_interface_and_its_address_are_named():
     assert [peer.get("address") for peer in domain.iter("Peer")] == ["127.0.0.1"]
 
 
-def test_a_named_interface_takes_its_place():
+def test_a_named_interface_replaces_the_loopback():
     other = next((n for _, n in socket.if_nameindex() if n != LOOPBACK), None)
     if other is None:
         pytest.skip("the machine has no other interface")
@@ -134,7 +134,7 @@ def test_a_named_interface_takes_its_place():
     assert not list(domain.iter("Peer"))
 
 
-def test_an_interface_that_is_not_there_is_refused():
+def test_an_unknown_interface_is_rejected():
     with pytest.raises(InputError, match=r"--interface: there is no network interface 'wifi<7'"):
         settings.domain_config("wifi<7")
 
@@ -143,7 +143,7 @@ def test_an_interface_that_is_not_there_is_refused():
     ("given", "environment", "number"),
     [(None, {}, 0), (None, {"ROS_DOMAIN_ID": "42"}, 42), (7, {"ROS_DOMAIN_ID": "42"}, 7)],
 )
-def test_the_domain_is_that_of_the_option_or_of_ros(monkeypatch, given, environment, number):
+def test_the_domain_comes_from_the_option_or_from_ros(monkeypatch, given, environment, number):
     monkeypatch.delenv("ROS_DOMAIN_ID", raising=False)
     for name, value in environment.items():
         monkeypatch.setenv(name, value)
@@ -151,7 +151,7 @@ def test_the_domain_is_that_of_the_option_or_of_ros(monkeypatch, given, environm
 
 
 @pytest.mark.parametrize("text", ["-1", "233", "four"])
-def test_a_domain_that_does_not_exist_is_refused(monkeypatch, text):
+def test_a_nonexistent_domain_is_rejected(monkeypatch, text):
     monkeypatch.setenv("ROS_DOMAIN_ID", text)
     with pytest.raises(InputError, match="ROS_DOMAIN_ID: must be from 0 to 232"):
         settings.domain_id(None)

@@ -71,7 +71,7 @@ class Poses:
 
 @pytest.mark.slow
 @pytest.mark.realtime
-def test_four_processes_fly_and_nobody_touches_though_one_is_killed(scenario, domain):
+def test_four_processes_fly_without_contact_although_one_is_killed(scenario, domain):
     poses, live = Poses(domain), sorted(set(PLACES) - {"h1"})
     twin = Process("twin-fleet", scenario, "--json", "-", domain=domain)
     craft = {n: Process("fly-fleet", scenario, "--as", n, domain=domain) for n in PLACES}
@@ -98,12 +98,12 @@ def test_four_processes_fly_and_nobody_touches_though_one_is_killed(scenario, do
         poses.graph.close()
 
 
-def test_a_craft_that_is_not_in_the_scenario_is_named_in_one_line(scenario):
+def test_a_craft_missing_from_the_scenario_is_reported_in_one_line(scenario):
     with pytest.raises(airpuck.InputError, match="h9"):
         fly_in_fleet(airpuck.read_fleet(scenario), "h9")
 
 
-def test_each_craft_has_its_topics_in_its_own_namespace():
+def test_each_craft_has_topics_in_its_own_namespace():
     from airpuck.recording.mapping import Topics
 
     names = [set(Topics().within(name).by_stream.values()) for name in PLACES]
@@ -135,7 +135,7 @@ def flown(monkeypatch, fleet, name, *, others=(), places=TWO, later=0.0, seconds
     return graph, fly_in_fleet(fleet, name, LiveSettings(duration=seconds, quiet=True))
 
 
-def test_all_craft_begin_at_one_moment_although_their_clocks_differ(monkeypatch, pair_of_craft):
+def test_all_craft_start_together_despite_different_clocks(monkeypatch, pair_of_craft):
     ready, found = flown(monkeypatch, pair_of_craft, "h1")
     assert (found["start_s"], found["messages"]) == (None, 0)
     assert "waits for h0" in ready.events[-2]
@@ -151,7 +151,7 @@ def test_all_craft_begin_at_one_moment_although_their_clocks_differ(monkeypatch,
     assert found["start_s"] is None
 
 
-def test_a_craft_beside_its_start_lets_the_others_wait(monkeypatch, pair_of_craft):
+def test_the_others_wait_for_a_craft_away_from_its_start(monkeypatch, pair_of_craft):
     ready, _ = flown(monkeypatch, pair_of_craft, "h1")
     beside = TWO | {"h0": (-0.4, 0.2, 0.0)}
     away, found = flown(monkeypatch, pair_of_craft, "h0", others=[("h1", ready)], places=beside)

@@ -42,7 +42,7 @@ class Pilot(PulseTest):
         return super().step(time)
 
 
-def test_a_rehearsal_teaches_nothing_about_the_motors():
+def test_rehearsed_steps_leave_the_motor_estimate_unchanged():
     model, far = published_model("M3"), SetPoint(0.4, 0.2, 1.0)
     tuning = default_tuning().with_estimator("learning")
     controller = TrackingController(model, far, tuning)
@@ -56,7 +56,7 @@ def test_a_rehearsal_teaches_nothing_about_the_motors():
 
 
 @pytest.mark.slow
-def test_motors_idle_as_soon_as_a_rival_is_on_the_graph(domain, monkeypatch):
+def test_motors_idle_once_a_second_controller_appears(domain, monkeypatch):
     monkeypatch.setattr(fly, "prioritize", lambda **_: None)
     pilot, rng = Pilot(), np.random.default_rng(0)
     table, rival = Graph("table", domain=domain), Graph("joystick", domain=domain)
@@ -126,7 +126,7 @@ def flown(pilot, seconds: float, **options):
     return fly.fly_live(lambda: pilot, VEHICLE, LIMITS, live, **options)
 
 
-def test_a_pilot_compiles_before_the_flight_and_without_priority(graph):
+def test_a_pilot_compiles_before_the_flight_and_at_normal_priority(graph):
     pilot = Steady()
     flown(pilot, 0.5)
     rehearsed = np.array(pilot.asked) < 0
@@ -137,7 +137,7 @@ def test_a_pilot_compiles_before_the_flight_and_without_priority(graph):
 
 
 @pytest.mark.parametrize("end", ["time", "over", "signal", "key"])
-def test_a_flight_ends_when_asked_and_idles_the_motors_five_times(graph, monkeypatch, end):
+def test_a_flight_ends_on_request_and_idles_the_motors_five_times(graph, monkeypatch, end):
     if end == "signal":
         graph.clock.at(0.6, lambda: os.kill(os.getpid(), signal.SIGTERM))
     elif end == "key":
@@ -152,7 +152,7 @@ def test_a_flight_ends_when_asked_and_idles_the_motors_five_times(graph, monkeyp
     assert graph.events[-1] == "landed: motors idle"
 
 
-def test_what_a_pilot_finds_about_its_motors_is_in_its_heartbeat(graph):
+def test_a_heartbeat_contains_what_a_pilot_learned_about_its_motors(graph):
     found = ActuationEstimate(np.full(6, 0.9), np.full(6, 0.05), delay=0.004, delay_deviation=0.001)
     estimate = Estimate(0.0, np.zeros(6), np.zeros(6), np.zeros(3), found)
     flown(Steady(step=Step(np.full(6, 0.2), "exact", estimate=estimate)), 1.2)
@@ -170,7 +170,7 @@ def test_every_tenth_plan_is_published(graph):
 
 
 @pytest.mark.parametrize("wished", [None, (0.1, 0.2, -1.0)])
-def test_a_followed_set_point_is_where_the_craft_was_until_somebody_moves_it(graph, wished):
+def test_a_followed_set_point_starts_at_the_craft_and_moves_on_request(graph, wished):
     point = fly.FollowedSetPoint((1.0, 1.0))
     if wished:
         graph.publish(0.3, REFERENCES, (*wished, 0.0, 0.0, 0.0))
@@ -179,7 +179,7 @@ def test_a_followed_set_point_is_where_the_craft_was_until_somebody_moves_it(gra
     np.testing.assert_allclose(point.at(0.0, 0.0).state[:3], expected, atol=1e-3)
 
 
-def test_the_preflight_check_pulses_every_motor_and_gives_up_without_poses(graph):
+def test_the_preflight_check_pulses_every_motor_and_fails_without_poses(graph):
     model, usual = published_model("M3"), PulseTest(VEHICLE)
     live = LiveSettings(quiet=True)
     fly.preflight_live(model, settings=live)

@@ -33,7 +33,7 @@ def test_the_layout_plots_what_is_recorded():
     assert shown == set(TYPES)
 
 
-def test_every_panel_is_laid_out_once():
+def test_every_panel_is_placed_once():
     content = json.loads(LAYOUT.read_text(encoding="utf-8"))
 
     def leaves(node):
@@ -55,7 +55,7 @@ def mcap(tmp_path: Path) -> Path:
     return next((tmp_path / "bag").glob("*.mcap"))
 
 
-def test_recordings_carry_the_definition_of_every_message(mcap):
+def test_recordings_contain_the_definition_of_every_message(mcap):
     with mcap.open("rb") as file:
         summary = make_reader(file).get_summary()
     assert summary is not None

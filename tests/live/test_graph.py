@@ -11,7 +11,7 @@ from ..apparatus.processes import until
 POSE = StreamCodec("pose")
 
 
-def test_bytes_arrive_as_they_were_sent_and_wake_who_waits(pair):
+def test_bytes_arrive_unchanged_and_wake_a_waiting_process(pair):
     first, second = pair
     heard = second.subscription("/pose", POSE.msgtype, POSE.types, SENSOR, wakes=True)
     says = first.publisher("/pose", POSE.msgtype, POSE.types, SENSOR)
@@ -26,7 +26,7 @@ def test_bytes_arrive_as_they_were_sent_and_wake_who_waits(pair):
     assert time.monotonic() - started < 1.0
 
 
-def test_a_message_wakes_only_who_asked_for_that(pair):
+def test_a_message_wakes_only_its_subscribers(pair):
     first, second = pair
     heard = second.subscription("/pose", POSE.msgtype, POSE.types, SENSOR)
     says = first.publisher("/pose", POSE.msgtype, POSE.types, SENSOR)
@@ -39,7 +39,7 @@ def test_a_message_wakes_only_who_asked_for_that(pair):
     assert heard.take()
 
 
-def test_others_are_seen_come_and_go_with_their_names(pair, domain):
+def test_other_publishers_are_listed_by_name_until_they_leave(pair, domain):
     first, second = pair
     first.publisher("/drone/control", POSE.msgtype, POSE.types, SENSOR)
     until(lambda: second.publishers("/drone/control"))
@@ -53,7 +53,7 @@ def test_others_are_seen_come_and_go_with_their_names(pair, domain):
     until(lambda: not second.publishers("/drone/control"))
 
 
-def test_a_sender_that_offers_less_than_asked_is_not_heard(pair):
+def test_a_publisher_with_a_weaker_service_than_requested_is_not_received(pair):
     first, second = pair
     asks_more = second.subscription("/pose", POSE.msgtype, POSE.types, STATE)
     asks_less = second.subscription("/pose", POSE.msgtype, POSE.types, SENSOR)
@@ -62,7 +62,7 @@ def test_a_sender_that_offers_less_than_asked_is_not_heard(pair):
     assert asks_more.take() == []
 
 
-def test_a_topic_has_one_type(pair):
+def test_a_topic_accepts_only_one_type(pair):
     first, _ = pair
     other = StreamCodec("estimate")
     first.publisher("/pose", POSE.msgtype, POSE.types, SENSOR)
@@ -72,7 +72,7 @@ def test_a_topic_has_one_type(pair):
         first.publisher("/pose", other.msgtype, other.types, SENSOR)
 
 
-def test_who_has_subscribed_is_known_but_oneself(pair):
+def test_other_subscribers_are_listed_but_not_oneself(pair):
     first, second = pair
     hears = second.subscription("/mallet/target", POSE.msgtype, POSE.types, SENSOR)
     second.publisher("/mallet", POSE.msgtype, POSE.types, SENSOR)

@@ -14,7 +14,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.realtime]
 
 
 @pytest.mark.parametrize("duration", [15.0, pytest.param(30.0, marks=pytest.mark.study)])
-def test_the_rate_is_held(domain, monkeypatch, duration):
+def test_the_loop_keeps_its_rate(domain, monkeypatch, duration):
     monkeypatch.syspath_prepend(str(STUDIES))
     figures = study("live_loop").flown(duration, domain)
     periods = round(duration / 0.01)

@@ -24,7 +24,7 @@ PREDICTION = Prediction(np.array([0.02, 0.04]), STATES, ("motor", "rail"))
 ESTIMATE = Estimate(1.5, np.zeros(6), np.zeros(6), np.zeros(3))
 
 
-def test_others_get_a_standard_path_and_what_limits_it(pair, domain):
+def test_subscribers_receive_a_standard_path_and_its_active_limits(pair, domain):
     listener, _ = pair
     paths, states = (well_formed(listener, topic) for topic in (PLANS, HEARTBEATS))
     with Process("fly", LiveSettings(domain=domain, quiet=True)) as process:
@@ -47,7 +47,7 @@ def test_others_get_a_standard_path_and_what_limits_it(pair, domain):
     assert figures == {"limits": "motor, rail", "bound by": "motion"}
 
 
-def test_a_path_that_cannot_be_drawn_is_left_out():
+def test_a_path_that_cannot_be_drawn_is_not_sent():
     codec = MessageCodec(PLANS.msgtype)
     kind = "geometry_msgs/msg/PoseStamped"
     poses = [codec.message(kind) for _ in range(3)]

@@ -7,7 +7,7 @@ from ..apparatus.processes import Process, Watch
 pytestmark = [pytest.mark.slow, pytest.mark.realtime]
 
 
-def test_a_twin_is_ready(domain):
+def test_a_twin_passes_the_preflight_check(domain):
     twin, watch = Process("twin", "--quiet", domain=domain), Watch(domain)
     try:
         watch.until(lambda: watch.heard["/optitrack/drone/pose"], 60.0)
@@ -20,7 +20,7 @@ def test_a_twin_is_ready(domain):
     assert out.count("order and sign agree") == 6
 
 
-def test_without_poses_it_says_so(domain):
+def test_missing_poses_are_reported(domain):
     status, out, err = Process("preflight", "-q", domain=domain).end(90)
     assert status == 2
     assert "none arrived" in out

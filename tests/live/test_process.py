@@ -38,7 +38,7 @@ def told():
     return graph, EventLog(graph, "fly", quiet=True)
 
 
-def test_what_toggles_is_counted_and_the_last_is_told_last(clock, told):
+def test_alternating_events_are_counted_and_the_last_is_reported_last(clock, told):
     graph, log = told
     for k in range(50):
         clock.now += 0.01
@@ -51,7 +51,7 @@ def test_what_toggles_is_counted_and_the_last_is_told_last(clock, told):
     assert len(graph.events) == 4
 
 
-def test_one_repetition_is_told_in_its_own_words_and_after_a_second_at_once(clock, told):
+def test_a_repeated_event_is_reported_and_after_a_second_immediately(clock, told):
     graph, log = told
     log.log("info", "flying")
     log.log("info", "flying")
@@ -62,7 +62,7 @@ def test_one_repetition_is_told_in_its_own_words_and_after_a_second_at_once(cloc
     assert graph.events == ["flying"] * 3
 
 
-def test_numbers_make_no_other_event_but_other_kinds_do(clock, told):
+def test_events_that_differ_only_in_numbers_are_merged(clock, told):
     graph, log = told
     log.log("error", "pose jumped by 0.21 m and 0.00 rad")
     log.log("error", "pose jumped by 1.5 m and 12 rad")
@@ -76,7 +76,7 @@ def test_numbers_make_no_other_event_but_other_kinds_do(clock, told):
     ]
 
 
-def test_no_cause_is_told_more_than_twice_a_second_however_long_it_goes_on(clock, told):
+def test_no_event_is_reported_more_than_twice_a_second(clock, told):
     graph, log = told
     for k in range(1000):
         clock.now += 0.01
@@ -97,9 +97,7 @@ def test_a_heartbeat_has_a_name_a_state_and_figures(told):
 @pytest.mark.parametrize(
     ("options", "printed"), [({}, "fly: on domain 0\n"), ({"quiet": True}, "")]
 )
-def test_a_process_prints_its_events_unless_it_is_to_be_quiet(
-    monkeypatch, capsys, options, printed
-):
+def test_a_process_prints_its_events_unless_quiet(monkeypatch, capsys, options, printed):
     joined(monkeypatch)
     with Process("fly", LiveSettings(**options)) as made:
         made.start("")
@@ -116,7 +114,7 @@ def second(domain):
         yield made
 
 
-def test_who_sends_is_refused_for_within_a_second(pair, second):
+def test_a_second_controller_is_rejected_within_a_second_if_one_is_sending(pair, second):
     first, _ = pair
     commands = first.publisher(COMMANDS, COMMAND.msgtype, COMMAND.types, SENSOR)
     end = Event()
@@ -137,7 +135,7 @@ def test_who_sends_is_refused_for_within_a_second(pair, second):
         sender.join()
 
 
-def test_who_is_silent_is_waited_for_as_long_as_one_who_was_killed(pair, second, monkeypatch):
+def test_a_silent_process_times_out_like_a_killed_one(pair, second, monkeypatch):
     first, _ = pair
     monkeypatch.setattr(process, "LEASE", -0.2)
     first.publisher(COMMANDS, COMMAND.msgtype, COMMAND.types, SENSOR)
@@ -147,7 +145,7 @@ def test_who_is_silent_is_waited_for_as_long_as_one_who_was_killed(pair, second,
     assert 0.8 < time.monotonic() - began < 2.0
 
 
-def test_nobody_is_there(second):
+def test_a_first_controller_is_accepted(second):
     second.refuse_second("command", COMMAND.columns, "controller")
     assert second.graph.age >= 0.6
     began = time.monotonic()
@@ -155,7 +153,7 @@ def test_nobody_is_there(second):
     assert time.monotonic() - began < 0.3
 
 
-def test_what_is_compiled_runs_as_any_other_process():
+def test_after_compilation_a_process_has_normal_priority():
     before = os.sched_getscheduler(0), os.sched_getparam(0)
     try:
         prioritize(first=True)
@@ -165,7 +163,7 @@ def test_what_is_compiled_runs_as_any_other_process():
         os.sched_setscheduler(0, *before)
 
 
-def test_a_signal_ends_the_loop_and_not_the_process(second):
+def test_a_signal_ends_the_loop_but_not_the_process(second):
     before = signal.getsignal(signal.SIGINT)
     with Process("third", LiveSettings(domain=second.settings.domain, quiet=True)) as third:
         third.start("")
@@ -194,7 +192,7 @@ def pose(stamp_ns, x=0.5, sent_ns=None):
     return Sample(stamp_ns if sent_ns is None else sent_ns, POSE.encode(stamp_ns, (x, 0.0, 0.0)))
 
 
-def test_poses_come_with_their_stamps_on_the_receivers_clock(box):
+def test_stamps_of_poses_are_converted_to_the_receivers_clock(box):
     stamp = box.clock.stamp_ns(box.clock.now)
     box.graph.waiting["/pose"] = [pose(stamp), pose(stamp, x=np.nan)]
     (first, values), (_, broken) = box.take()
@@ -204,7 +202,7 @@ def test_poses_come_with_their_stamps_on_the_receivers_clock(box):
     assert (box.good, box.bad) == (2, 0)
 
 
-def test_garbage_and_wrong_stamps_are_left_out_and_told(box):
+def test_invalid_messages_and_wrong_stamps_are_dropped_and_reported(box):
     now = box.clock.stamp_ns(box.clock.now)
     box.graph.waiting["/pose"] = [
         Sample(now, b"\0\1\0\0nonsense"),
@@ -220,7 +218,7 @@ def test_garbage_and_wrong_stamps_are_left_out_and_told(box):
 
 
 @pytest.mark.parametrize("ahead", [-3600.0, -0.3, 0.0, 0.3, 3600.0])
-def test_commands_act_on_arrival_whatever_the_clock_of_their_sender_says(box, ahead):
+def test_commands_act_on_arrival_whatever_the_senders_clock(box, ahead):
     now = box.clock.stamp_ns(box.clock.now) + round(1e9 * ahead)
     box.graph.waiting["/pose"] = [pose(0, sent_ns=now), pose(now, x=np.inf)]
     (values,) = box.take_commands()
@@ -237,7 +235,7 @@ def test_a_command_that_the_craft_rejects_counts_as_unusable(box):
     assert box.events.counts["warning"] == 1
 
 
-def test_finite_numbers_that_overflow_are_refused(box):
+def test_finite_numbers_that_overflow_are_rejected(box):
     now = box.clock.stamp_ns(box.clock.now)
     box.graph.waiting["/pose"] = [pose(now, x=1e300), pose(now)]
     assert len(box.take()) == 1
@@ -247,7 +245,7 @@ def test_finite_numbers_that_overflow_are_refused(box):
     assert set(box.graph.events) == {"numbers on /pose beyond 1e+06"}
 
 
-def test_commands_that_waited_for_a_process_that_stood_still_are_late(box):
+def test_commands_that_waited_for_a_suspended_process_are_late(box):
     box.clock.sleep_until(box.clock.now + 0.12)
     for _ in range(2):  # messages in the system's buffers arrive a little later
         box.graph.waiting["/pose"] = [pose(0)]
@@ -259,7 +257,7 @@ def test_commands_that_waited_for_a_process_that_stood_still_are_late(box):
     assert (box.good, box.bad) == (1, 2)
 
 
-def test_another_clock_is_told_once(box):
+def test_a_clock_difference_is_reported_once(box):
     for _ in range(40):
         box.graph.waiting["/pose"] = [pose(box.clock.stamp_ns(box.clock.now) - 3600 * 10**9)]
         box.take()

@@ -126,7 +126,7 @@ def until_landing(recording: Recording) -> Recording:
     return replace(recording, streams={**recording.streams, "pose": cut})
 
 
-def test_a_flight_to_a_set_point_is_that_of_the_offline_twin(table, tmp_path):
+def test_a_flight_to_a_set_point_matches_the_offline_twin(table, tmp_path):
     watch, goal = table.watch, (0.4, -0.2, 1.0)
     with recorded(table.domain, tmp_path / "bag"):
         watch.until(lambda: watch.events("record") and watch.heard[POSES], 60.0)
@@ -161,7 +161,7 @@ def test_a_flight_to_a_set_point_is_that_of_the_offline_twin(table, tmp_path):
     assert_events_of_all_are_recorded(tmp_path / "bag")
 
 
-def test_a_plan_is_flown_from_its_start_once_the_craft_rests_there(table, tmp_path, monkeypatch):
+def test_a_plan_is_flown_once_the_craft_rests_at_its_start(table, tmp_path, monkeypatch):
     # No flight needs the lower bound, which takes seconds.
     monkeypatch.setattr("airpuck.planning.plan._bound", lambda *_: None)
     limits = Limits(reserve=0.1)
@@ -208,7 +208,7 @@ def assert_events_of_all_are_recorded(folder) -> None:
     assert own[-1].startswith("ends after")
 
 
-def test_a_key_stops_the_motors_and_another_lets_them_run(table):
+def test_one_key_stops_the_motors_and_another_releases_them(table):
     pilot, watch = table.fly(), table.watch
     watch.forget()
     pilot.press(" ")
@@ -220,7 +220,7 @@ def test_a_key_stops_the_motors_and_another_lets_them_run(table):
     table.until_flying()
 
 
-def test_a_second_controller_refuses_and_says_whose_the_first_is(table):
+def test_a_second_controller_exits_and_names_the_first(table):
     first = table.fly()
     second = Process("fly", "paper:M3", domain=table.domain)
     status, _, err = second.end()
@@ -230,7 +230,7 @@ def test_a_second_controller_refuses_and_says_whose_the_first_is(table):
     table.watch.until(table.flies, 10.0)
 
 
-def test_poses_that_stop_idle_the_motors_until_they_are_back(table):
+def test_motors_idle_while_poses_are_missing(table):
     table.fly()
     watch = table.watch
     watch.forget()
@@ -252,7 +252,7 @@ def test_poses_that_stop_idle_the_motors_until_they_are_back(table):
     watch.until(table.flies)
 
 
-def test_a_controller_that_stood_still_goes_on(table):
+def test_a_suspended_controller_resumes(table):
     pilot, watch = table.fly(), table.watch
     watch.forget()
     pilot.signal(signal.SIGSTOP)
@@ -264,7 +264,7 @@ def test_a_controller_that_stood_still_goes_on(table):
     watch.until(table.flies)
 
 
-def test_garbage_is_survived_and_reported(table):
+def test_invalid_messages_are_survived_and_reported(table):
     table.fly()
     watch, pose = table.watch, CODECS[POSES]
     other = dict(definitions(""))
@@ -327,7 +327,7 @@ def test_huge_numbers_on_the_graph_end_neither_process(table):
     table.arrives(0.2, 0.1, 0.5)
 
 
-def test_a_set_point_from_the_graph_is_flown_to_unless_it_is_outside(table):
+def test_a_set_point_from_the_graph_is_reached_unless_it_is_outside(table):
     table.fly()
     table.watch.forget()
     table.go(9.0, 0.1, 0.5)
@@ -336,7 +336,7 @@ def test_a_set_point_from_the_graph_is_flown_to_unless_it_is_outside(table):
     table.arrives(-0.2, 0.1, 0.5)
 
 
-def test_a_killed_controller_stops_the_motors_and_another_may_follow(table):
+def test_a_killed_controller_stops_the_motors_and_can_be_replaced(table):
     pilot, watch = table.fly(), table.watch
     table.go(-0.5, 0.0, 0.0)
     table.arrives(-0.5, 0.0, 0.0, within=(0.1, 1.0))
@@ -358,7 +358,7 @@ def test_a_killed_controller_stops_the_motors_and_another_may_follow(table):
     table.fly()  # not refused, once the dead one is off the graph
 
 
-def test_a_killed_twin_idles_the_motors_and_a_bad_radio_does_not_stop_the_next(table, tmp_path):
+def test_a_killed_twin_idles_the_motors_and_the_next_one_can_fly(table, tmp_path):
     watch, goal = table.watch, (0.2, 0.1, 0.5)
     table.fly()
     table.go(*goal)
@@ -377,7 +377,7 @@ def test_a_killed_twin_idles_the_motors_and_a_bad_radio_does_not_stop_the_next(t
 
 
 @pytest.mark.study
-def test_half_a_minute_of_excitation_gives_the_twins_parameters_back(table, tmp_path):
+def test_half_a_minute_of_excitation_recovers_the_parameters(table, tmp_path):
     watch = table.watch
     if table.pilot is not None:
         table.pilot.kill()

@@ -16,7 +16,7 @@ POSE = StreamCodec("pose")
 FIRST, SECOND = "/a/pose", "/b/pose"
 
 
-def test_nothing_is_received_before_it_was_sent_however_slow_the_listener(pair):
+def test_messages_are_never_received_before_they_were_sent(pair):
     speaker, other = pair
     listener = Listener(other)
     says = {
@@ -37,7 +37,7 @@ def test_nothing_is_received_before_it_was_sent_however_slow_the_listener(pair):
     assert all(one.received_ns >= one.sent_ns for each in heard.values() for one in each)
 
 
-def test_own_words_are_heard_only_by_who_asks(pair):
+def test_own_messages_are_received_only_on_request(pair):
     speaker, _ = pair
     deaf, alert = Listener(speaker), Listener(speaker, own=True)
     says = speaker.publisher(FIRST, POSE.msgtype, POSE.types, SENSOR)
@@ -51,7 +51,7 @@ def test_own_words_are_heard_only_by_who_asks(pair):
 
 
 @pytest.mark.parametrize(("more", "less"), [(STATE, SENSOR), (LOG, STATE), (LOG, SENSOR)])
-def test_who_offers_less_than_the_first_is_heard_too_and_everybody_once(pair, more, less):
+def test_publishers_of_any_service_level_are_received_once(pair, more, less):
     speaker, other = pair
     listener = Listener(other)
     heard: list[tuple[float, float]] = []
@@ -85,7 +85,7 @@ def test_who_offers_less_than_the_first_is_heard_too_and_everybody_once(pair, mo
     assert time.monotonic() - started > 0.05
 
 
-def test_a_topic_of_an_unknown_type_is_told_and_all_others_are_recorded(monkeypatch, tmp_path):
+def test_a_topic_of_unknown_type_is_reported_and_all_others_are_recorded(monkeypatch, tmp_path):
     graph = joined(monkeypatch)
     kinds = {topic: CODECS[topic].msgtype for topic in (POSES, COMMANDS)} | {"/scan": "a/msg/B"}
     graph.others = [Endpoint(uuid4(), uuid4(), *one, True, False) for one in kinds.items()]

@@ -34,7 +34,7 @@ def guard():
     return made
 
 
-def test_motors_wait_for_poses_that_have_been_good_for_a_while():
+def test_motors_wait_until_poses_have_been_good_for_a_while():
     guard = Guard(LIMITS)
     assert guard.refusal(0.0) == "no pose yet"
     last = poses(guard, 0.0, LIMITS.settle - 0.02)
@@ -43,7 +43,7 @@ def test_motors_wait_for_poses_that_have_been_good_for_a_while():
     assert guard.refusal(last) is None
 
 
-def test_poses_that_stop(guard):
+def test_missing_poses_idle_the_motors(guard):
     last = 0.5 - FRAME
     assert guard.refusal(last + 0.045) is None
     assert guard.refusal(last + 0.055) == "no pose for 50 ms"
@@ -62,7 +62,7 @@ def test_poses_that_stop(guard):
         ((0.1, 0.2, 0.3 + 2.0), "pose jumped by 0.00 m and 2.00 rad"),
     ],
 )
-def test_one_bad_pose_idles_at_once_and_good_ones_end_it(guard, pose, reason):
+def test_one_bad_pose_idles_the_motors_until_good_ones_follow(guard, pose, reason):
     guard.pose(0.5, np.array(pose))
     assert guard.refusal(0.5) == reason
     last = poses(guard, 0.5 + FRAME, 0.5 + LIMITS.settle / 2)
@@ -71,7 +71,7 @@ def test_one_bad_pose_idles_at_once_and_good_ones_end_it(guard, pose, reason):
     assert guard.refusal(last) is None
 
 
-def test_a_turn_through_half_a_turn_is_no_jump():
+def test_wrapping_of_the_yaw_is_not_a_jump():
     guard = Guard(LIMITS)
     for k, yaw in enumerate((3.0, 3.1, -3.1, -3.0)):
         guard.pose(k * FRAME, np.array([0.0, 0.0, yaw]))
@@ -79,7 +79,7 @@ def test_a_turn_through_half_a_turn_is_no_jump():
         assert guard.refusal(k * FRAME) == "no pose yet"
 
 
-def test_a_frozen_pose(guard):
+def test_a_frozen_pose_idles_the_motors(guard):
     frozen = np.array([0.1, 0.2, 0.3])
     for k in range(LIMITS.frozen):
         assert guard.refusal(0.5 + k * FRAME) is None
@@ -89,14 +89,14 @@ def test_a_frozen_pose(guard):
     )
 
 
-def test_a_pose_that_is_not_finite_does_not_count_as_frozen(guard):
+def test_a_non_finite_pose_does_not_count_as_frozen(guard):
     frozen, until = np.array([0.1, 0.2, 0.3]), LIMITS.frozen - 1
     for k in range(2 * until + 1):
         guard.pose(0.5 + k * FRAME, frozen if k != until else np.full(3, np.nan))
     assert guard.refusal(0.6) == "pose is not finite"
 
 
-def test_a_stop_holds_until_it_is_taken_back(guard):
+def test_a_stop_holds_until_it_is_released(guard):
     guard.stop("operator", "stopped by the operator")
     last = poses(guard, 0.5, 2.0)
     assert guard.refusal(last) == "stopped by the operator"
@@ -147,7 +147,7 @@ def plausible(history: list[tuple[float, np.ndarray]], k: int) -> bool:
     )
 
 
-def test_motors_run_if_all_poses_were_plausible_for_a_while_and_never_otherwise():
+def test_motors_run_only_if_all_poses_were_plausible_for_a_while():
     """Against the whole history of poses, whereas the guard remembers only the last one."""
     ran = []
 
@@ -203,7 +203,7 @@ def test_an_old_stamp_does_not_excuse_a_jump(passed, guard):
     ("moved", "turned", "jumps"),
     [(0.05 + 2.95 * 0.04, 2.0, False), (0.05 + 3.1 * 0.04, 0.0, True), (0.0, 2.2, True)],
 )
-def test_no_craft_is_faster_than_three_metres_and_forty_radians_a_second(
+def test_speeds_above_three_metres_and_forty_radians_a_second_are_jumps(
     guard, moved, turned, jumps
 ):
     """40 ms after the last pose, beside the 5 cm and 0.5 rad that any two poses may be apart."""
@@ -213,7 +213,7 @@ def test_no_craft_is_faster_than_three_metres_and_forty_radians_a_second(
 
 
 @pytest.mark.parametrize("side", [-1, 1])
-def test_the_others_half_is_out_of_bounds(side):
+def test_the_opponents_half_is_out_of_bounds(side):
     guard = Guard(half_of(Table(length_m=2.2, width_m=1.1), 0.07, side))
     # Its edge is 1 cm over the line, then 3 cm.
     last = poses(guard, 0.0, 0.5, at=(0.06 * side, 0.0, 0.0))
@@ -253,7 +253,7 @@ def guarded():
     return made
 
 
-def test_commands_are_kept_between_idle_and_full(guarded):
+def test_commands_are_clipped_between_idle_and_full(guarded):
     assert guarded.watches == ("puck",)
     guarded.pilot.command = np.array([-1.0, 7.0])
     np.testing.assert_array_equal(guarded.step(0.5).command, [0.03, 1.0])
@@ -267,7 +267,7 @@ def test_commands_are_kept_between_idle_and_full(guarded):
         (np.array([0.5, np.nan]), "the controller's command is not 2 finite numbers"),
     ],
 )
-def test_a_controller_that_fails_idles_the_motors_and_may_recover(guarded, command, reason):
+def test_a_failing_controller_idles_the_motors_and_may_recover(guarded, command, reason):
     guarded.pilot.command = command
     step = guarded.step(0.5)
     assert step.status == "unsafe"
@@ -281,7 +281,7 @@ def test_a_controller_that_fails_idles_the_motors_and_may_recover(guarded, comma
 
 
 @pytest.mark.parametrize("kind", ["pose", "imu", "mouse", "puck", "mallet", "sent"])
-def test_a_controller_that_fails_to_take_note_idles_the_motors(kind):
+def test_a_controller_that_fails_on_a_measurement_idles_the_motors(kind):
     def fail(*news):
         if kind == "sent" or news[0].kind == kind:
             raise ZeroDivisionError("in the filter")
@@ -299,7 +299,7 @@ def test_a_controller_that_fails_to_take_note_idles_the_motors(kind):
     assert logged[-1] == "motors idle: the controller failed: ZeroDivisionError: in the filter"
 
 
-def test_a_command_that_is_no_array_idles_the_motors(guarded):
+def test_an_invalid_command_idles_the_motors(guarded):
     step = Step(np.full(2, 0.5), "exact", np.zeros(3), None)
     # Without type checks, a user's step can hold anything.
     object.__setattr__(step, "command", [0.5, "full"])

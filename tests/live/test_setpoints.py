@@ -8,7 +8,7 @@ from airpuck.live.fly import FollowedSetPoint, PlannedSetPoints
 FENCE = (1.0, 0.5)
 
 
-def test_time_counts_from_the_beginning():
+def test_time_counts_from_the_start():
     plan = PlannedSetPoints(SetPoints([0.0, 2.0], [(0, 0, 0), (0.5, 0, 1)]))
     assert plan.at(1e6, 0.0).state[0] == 0.0  # whatever the clock says before
     plan.begin(10.0)
@@ -17,7 +17,7 @@ def test_time_counts_from_the_beginning():
     assert plan.at(12.0, 0.0).state[0] == 0.5
 
 
-def test_a_file_of_set_points(tmp_path):
+def test_set_points_are_read_from_a_file(tmp_path):
     path = tmp_path / "points.toml"
     entry = "[[setpoints]]\nat_s = {}\nx_m = {}\ny_m = 0.1\nyaw_rad = 1\n"
     path.write_text(entry.format(0, 0.2) + entry.format(3.5, -0.2))
@@ -29,7 +29,7 @@ def test_a_file_of_set_points(tmp_path):
         read_setpoints(path)
 
 
-def test_a_set_point_is_moved_by_others_but_not_outside():
+def test_a_set_point_can_be_moved_from_outside_within_the_geofence():
     followed = FollowedSetPoint(FENCE)
     assert followed.point is None
     assert followed.move(np.array([0.3, 0.2, 1.0])) is None

@@ -6,7 +6,7 @@ from airpuck.boundary.errors import InputError
 from airpuck.live.settings import read_topics
 
 
-def test_a_live_graph_takes_only_topics(tmp_path: Path):
+def test_a_live_mapping_accepts_only_topics(tmp_path: Path):
     (tmp_path / "m.toml").write_text("[command]\nscale = 0.01\n")
     with pytest.raises(InputError, match=r"m\.toml: command: is for recordings"):
         read_topics(tmp_path / "m.toml")

@@ -27,7 +27,7 @@ def live(seconds: float) -> LiveSettings:
     return LiveSettings(duration=seconds, quiet=True)
 
 
-def test_motors_run_while_commands_come_and_others_are_told(graph):
+def test_motors_run_while_commands_arrive_and_changes_are_announced(graph):
     turning = np.full(6, IDLE)
     turning[0] = 0.5
     for time in np.arange(0.3, 0.5, 0.01):
@@ -72,7 +72,7 @@ def test_measurements_are_lost_while_the_process_is_suspended(graph):
     assert told.startswith("paused for 0.20")
 
 
-def test_craft_that_touch_are_named_with_their_closing_speed(graph):
+def test_colliding_craft_are_named_with_their_closing_speed(graph):
     """A craft drives into another one at rest."""
     reach = 2 * MODEL.vehicle.radius_m
     starts = {"hunter": (0.0, 0.0, 0.0), "prey": (reach + 0.1, 0.0, 0.0)}

@@ -25,7 +25,7 @@ def flying(graph, seconds: float, share: float = 1.0) -> None:
             graph.publish((stamp - start) / 1e9 + 0.01, topic, told)
 
 
-def test_a_motor_that_gives_less_than_its_commands_is_named(monkeypatch):
+def test_a_weak_motor_is_named(monkeypatch):
     graph, lines = joined(monkeypatch), []
     flying(graph, 2.1, 0.6)
     found = watch_live(MODEL, lines.append, LiveSettings(duration=2.1))
@@ -39,7 +39,7 @@ def test_a_motor_that_gives_less_than_its_commands_is_named(monkeypatch):
     assert found["flying"]
 
 
-def test_what_a_controller_finds_is_told(monkeypatch):
+def test_findings_of_a_controller_are_shown(monkeypatch):
     flight, lines = joined(monkeypatch), []
     with Process("airpuck fly", LiveSettings(quiet=True)) as process:
         process.start("")
@@ -51,7 +51,7 @@ def test_what_a_controller_finds_is_told(monkeypatch):
     assert lines[1:] == ["the controller finds: left 62 ± 3 %"]
 
 
-def test_rates_and_newest_numbers_are_those_that_came(monkeypatch):
+def test_rates_and_newest_values_match_the_messages(monkeypatch):
     graph = joined(monkeypatch)
     flying(graph, 1.2)
     with Process("watch", LiveSettings(quiet=True)) as process:

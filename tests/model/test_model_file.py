@@ -111,7 +111,7 @@ def same(first, second):
             assert a == b or np.array_equal(a, b)
 
 
-def test_a_file_with_the_delay_beside_the_parameters_is_read(older):
+def test_a_file_with_the_delay_outside_the_parameters_is_read(older):
     model = older()
     assert model.transport_delay == 0.021
     assert model.delay_learned
@@ -126,7 +126,7 @@ def test_a_file_with_the_delay_beside_the_parameters_is_read(older):
     assert inflow.coefficient == 0.125
 
 
-def test_all_fields_survive_a_file(older, tmp_path):
+def test_a_model_file_round_trips_all_fields(older, tmp_path):
     for model in (older(), published_model("M4"), nominal_model(older().vehicle)):
         model.save(tmp_path / "again.toml")
         same(read_model(tmp_path / "again.toml"), model)
@@ -163,7 +163,7 @@ def test_uncertainty_of_other_parameters_is_not_written(older, tmp_path):
         ("packets = 40", "packets = 0", "delay_jitter.packets", "greater"),
     ],
 )
-def test_mistakes_are_named(older, old, new, field, problem):
+def test_mistakes_are_reported_by_field(older, old, new, field, problem):
     assert old in OLDER
     with rejected("model.toml: ", match=problem, field=field):
         older(OLDER.replace(old, new, 1))
@@ -175,7 +175,7 @@ def test_published_models_are_read_by_name():
         read_model("paper:M9")
 
 
-def test_a_bare_model_name_gets_a_hint_at_the_published_names(tmp_path, monkeypatch):
+def test_a_bare_model_name_suggests_the_published_names(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(InputError, match=r"M3: there is no such file; .* are paper:M3"):
         read_model("M3")
@@ -197,14 +197,14 @@ def test_a_bare_model_name_gets_a_hint_at_the_published_names(tmp_path, monkeypa
         ("table", read_model, "is a table; expected a model"),
     ],
 )
-def test_a_file_of_another_kind_is_named_as_that_kind(tmp_path, file, read, problem):
+def test_a_file_of_another_kind_is_identified(tmp_path, file, read, problem):
     made = {"craft": default_vehicle(), "model": published_model("M3"), "table": AirHockey()}
     made[file].save(tmp_path / f"{file}.toml")
     with pytest.raises(InputError, match=rf"{file}.toml: {problem}"):
         read(tmp_path / f"{file}.toml")
 
 
-def test_a_kind_of_file_is_recognised_by_a_key_that_only_its_schema_has():
+def test_a_kind_of_file_is_recognised_by_a_key_unique_to_its_schema():
     schemas = {
         "a model": ModelFile,
         "a vehicle": Vehicle,
@@ -226,7 +226,7 @@ def test_a_kind_of_file_is_recognised_by_a_key_that_only_its_schema_has():
         assert kind not in owned or key in owned[kind], key
 
 
-def test_a_model_of_a_matrix_needs_three_rows(tmp_path):
+def test_a_model_with_a_matrix_needs_three_rows(tmp_path):
     published_model("M4").save(tmp_path / "m.toml")
     content = tomllib.loads((tmp_path / "m.toml").read_text())
     content["parameters"]["configuration_matrix_SI"].pop()

@@ -21,7 +21,7 @@ GRID = np.tile(np.linspace(0, 1, 201), (6, 1))
 
 
 @pytest.mark.parametrize("name", [*RUNGS, "M4+drag+inflow+pair+sag+tilt"])
-def test_vector_and_back(name):
+def test_parameters_round_trip_through_a_vector(name):
     parameters = named_rung(name).initial(VEHICLE)
     vector = parameters.to_vector() + 1.0
     moved = parameters.with_vector(vector)
@@ -35,14 +35,14 @@ def test_vector_and_back(name):
     ("name", "free", "tau"),
     [("M0", 18, 0), ("M1", 19, 0), ("M2", 19, 0.03), ("M3", 23, 0.03), ("M4", 37, 0.03)],
 )
-def test_rungs_are_those_of_the_paper(name, free, tau):
+def test_rungs_match_the_paper(name, free, tau):
     parameters = RUNGS[name].initial(VEHICLE)
     assert RUNGS[name].mask(parameters).sum() == free
     assert parameters.motor_time_constant == tau
     assert parameters.inertia == 0.337e-3
 
 
-def test_the_direct_matrix_starts_at_first_principles():
+def test_the_direct_matrix_starts_from_first_principles():
     direct = RUNGS["M4"].initial(VEHICLE)
     np.testing.assert_array_equal(
         direct.configuration_matrix,
@@ -50,7 +50,7 @@ def test_the_direct_matrix_starts_at_first_principles():
     )
 
 
-def test_classical_thrust_has_one_number_per_propeller():
+def test_quadratic_thrust_has_one_coefficient_per_propeller():
     parameters = RUNGS["quadratic"].initial(VEHICLE)
     mask = RUNGS["quadratic"].mask(parameters)
     assert mask[: parameters.thrust.size].sum() == 6
@@ -65,7 +65,7 @@ def test_raising_the_degree_changes_nothing():
 
 
 @pytest.mark.parametrize("degree", [1, 2])
-def test_lowering_the_degree_is_least_squares(degree):
+def test_lowering_the_degree_fits_by_least_squares(degree):
     lowered = change_degree(VEHICLE.nominal_thrust, degree)
     # Against a dense fit by scipy's nodes: Gauss-Legendre quadrature of the squared distance.
     nodes, weights = np.polynomial.legendre.leggauss(20)
@@ -77,13 +77,13 @@ def test_lowering_the_degree_is_least_squares(degree):
     np.testing.assert_allclose(lowered[0], expected, rtol=1e-8)
 
 
-def test_nominal_is_the_vehicles():
+def test_nominal_parameters_come_from_the_vehicle():
     parameters = nominal_parameters(VEHICLE)
     assert parameters.inertia == VEHICLE.nominal.inertia_kg_m2
     np.testing.assert_array_equal(parameters.thrust, VEHICLE.nominal_thrust)
 
 
-def test_terms_of_a_name_are_switches():
+def test_terms_in_a_name_enable_effects():
     rung = named_rung("M3+inflow+pair")
     assert (rung.name, rung.effects) == ("M3+inflow+pair", ("inflow", "pair_interaction"))
     parameters = rung.initial(VEHICLE)
@@ -103,7 +103,7 @@ def test_terms_of_a_name_are_switches():
         ("M99", "M0, M1.*auto"),
     ],
 )
-def test_unknown_terms_are_refused(name, told):
+def test_unknown_terms_are_rejected(name, told):
     with pytest.raises(InputError, match=told):
         named_rung(name)
 
@@ -129,7 +129,7 @@ class TailWind(Effect):
         return thrust * (1 - self.loss)
 
 
-def test_coefficients_of_a_users_effect_are_parameters():
+def test_coefficients_of_a_user_effect_are_parameters():
     rung = named_rung("M3+drag").with_effect(TailWind, start={"push": 0.3})
     parameters = rung.initial(VEHICLE)
     assert parameters.tail_wind.tolist() == [0.3, 0.1]
@@ -148,7 +148,7 @@ def test_coefficients_of_a_users_effect_are_parameters():
     assert again.effects == {"drag", "tail_wind"}
 
 
-def test_a_model_of_a_users_effect_is_read_back_bit_for_bit(tmp_path):
+def test_a_model_with_a_user_effect_round_trips(tmp_path):
     rung = named_rung("M3").with_effect(TailWind, bounds={"push": (-1.0, 1.0)})
     parameters = rung.initial(VEHICLE)
     known = Uncertainty(
@@ -164,7 +164,7 @@ def test_a_model_of_a_users_effect_is_read_back_bit_for_bit(tmp_path):
     assert read.free.sum() == model.free.sum() == 25
 
 
-def test_a_model_file_runs_no_code_that_nobody_named(tmp_path):
+def test_a_model_file_runs_no_code_that_was_not_requested(tmp_path):
     rung = named_rung("M3").with_effect(TailWind)
     parameters = rung.initial(VEHICLE)
     path = tmp_path / "model.toml"
@@ -198,11 +198,11 @@ def changed(**space):
         (changed(thrust=lambda self, xp, thrust, motion: 0.0), "in the shape that it is given"),
     ],
 )
-def test_what_is_no_effect_is_refused_before_a_fit(effect, told):
+def test_an_invalid_effect_is_rejected_before_a_fit(effect, told):
     with pytest.raises(InputError, match=told):
         named_rung("M3").with_effect(effect).initial(VEHICLE)
 
 
-def test_an_effect_is_added_once():
+def test_an_effect_is_added_only_once():
     with pytest.raises(InputError, match="already"):
         named_rung("M3").with_effect(TailWind).with_effect(TailWind)

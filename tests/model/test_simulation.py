@@ -43,7 +43,7 @@ def state_and_command(seed: int = 0):
 
 
 @MODELS
-def test_the_derivative_is_the_same_under_numpy_jax_and_casadi(model):
+def test_the_derivative_agrees_under_numpy_jax_and_casadi(model):
     state, command = state_and_command()
     with jax.enable_x64(True):
         traced = jax.jit(model.derivative)(jnp.array(state), jnp.array(command))
@@ -92,7 +92,7 @@ def test_simulations_agree_under_numpy_jax_and_casadi_and_for_a_batch():
 
 
 @pytest.mark.slow
-def test_jax_differentiates_a_simulation_by_its_commands_and_by_the_parameters():
+def test_simulations_are_differentiable_by_commands_and_parameters():
     state, command = state_and_command(4)
     commands = np.tile(command, (10, 1))
 
@@ -115,7 +115,7 @@ def test_jax_differentiates_a_simulation_by_its_commands_and_by_the_parameters()
             assert slope[entry] == pytest.approx((ends[0] - ends[1]) / (2 * step), rel=1e-4)
 
 
-def test_without_lag_the_motors_are_no_states():
+def test_without_lag_motors_are_not_part_of_the_state():
     model = replace(M3, parameters=replace(M3.parameters, motor_time_constant=0.0))
     state, command = state_and_command(5)
     rates = model.derivative(state[:6], command)
@@ -123,7 +123,7 @@ def test_without_lag_the_motors_are_no_states():
     np.testing.assert_allclose(rates, same[:6], atol=1e-14)
 
 
-def test_motors_left_out_begin_at_the_first_command():
+def test_omitted_motor_speeds_start_at_the_first_command():
     state, command = state_and_command(6)
     commands = np.tile(command, (3, 1))
     np.testing.assert_array_equal(
@@ -142,7 +142,7 @@ def test_motors_left_out_begin_at_the_first_command():
         (lambda: M3.to_statespace(command=np.zeros(4)), "command"),
     ],
 )
-def test_wrong_shapes_are_refused(call, field):
+def test_wrong_shapes_are_rejected(call, field):
     with rejected(field=field):
         call()
 
@@ -160,7 +160,7 @@ def simulated(period):
         *(("command", np.full(6, value), None) for value in (NAN, -0.1, 1.1)),
     ],
 )
-def test_a_number_out_of_range_is_refused(field, value, used):
+def test_a_number_out_of_range_is_rejected(field, value, used):
     with rejected(field=field):
         (used or M3.to_statespace)(**{field: value})
 
@@ -201,7 +201,7 @@ def test_a_trimmed_craft_stays_at_rest(name):
     np.testing.assert_allclose(acceleration(np, dynamics, np.zeros(4), command), 0, atol=1e-9)
 
 
-def test_a_craft_with_effects_on_a_tilted_table_is_trimmed_too():
+def test_a_craft_with_effects_on_a_tilted_table_can_be_trimmed():
     truth = published_model("M3").parameters
     effects = {"inflow": 0.2, "pair_interaction": 5.0, "voltage_sag": 0.1}
     parameters = replace(truth, **effects, tilt=np.array([0.004, -0.002]))
@@ -217,7 +217,7 @@ LATER = np.ones((6, 1)), np.linspace(0.0, 0.02, 6)[:, None]
 
 
 @pytest.mark.parametrize("own_lag", [None, LATER])
-def test_the_matrices_are_those_of_central_differences(own_lag):
+def test_the_matrices_match_central_differences(own_lag):
     dynamics = replace(published_model("M3").dynamics, own_lag=own_lag)
     command = trim(dynamics)
     a, b = linearize(dynamics, 0.7, command)
@@ -231,7 +231,7 @@ def test_the_matrices_are_those_of_central_differences(own_lag):
     np.testing.assert_array_equal(b[:6], 0)
 
 
-def test_small_steps_of_the_commands_give_the_response_of_the_linear_model():
+def test_small_command_steps_match_the_linear_model():
     model = published_model("M4")
     system = model.to_statespace(yaw=0.4)
     command = trim(model.dynamics)
@@ -253,7 +253,7 @@ def test_small_steps_of_the_commands_give_the_response_of_the_linear_model():
     assert error(1e-3) / error(1e-4) == pytest.approx(100, rel=0.05)
 
 
-def test_without_motor_lag_the_motors_are_no_states():
+def test_without_motor_lag_the_linear_model_omits_the_motors():
     system = published_model("M0").to_statespace()
     assert (system.nstates, system.ninputs, system.noutputs) == (6, 6, 3)
     assert published_model("M3").to_statespace().nstates == 12

@@ -73,7 +73,7 @@ SHOWN = {
 
 
 @pytest.mark.parametrize("made", SHOWN.values(), ids=SHOWN)
-def test_results_show_in_a_notebook_in_a_line_and_as_a_table(made):
+def test_results_have_notebook_one_line_and_table_forms(made):
     result = made()
     assert len(repr(result)) < 200 and "\n" not in repr(result)
     text = result._repr_html_()

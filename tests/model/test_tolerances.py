@@ -20,7 +20,7 @@ def file(**tolerances):
     return MODEL.vehicle.model_copy(update=none | tolerances)
 
 
-def test_a_wrong_mass_changes_thrusts_and_inertia_alike_and_nothing_else():
+def test_a_wrong_mass_scales_only_thrusts_and_inertia():
     shifts = geometry_shifts(MODEL.parameters, file(mass_error=0.02), FREE)
     relative = np.sqrt((shifts**2).sum(axis=0)) / np.abs(MODEL.parameters.to_vector()).clip(1e-12)
     heavy = MODEL.parameters.mask(frozenset({"thrust", "inertia"})) & FREE
@@ -29,7 +29,7 @@ def test_a_wrong_mass_changes_thrusts_and_inertia_alike_and_nothing_else():
     assert (np.abs(shifts[:, ~heavy]) < 1e-4).all()
 
 
-def test_a_file_without_tolerances_adds_nothing():
+def test_a_file_without_tolerances_adds_no_uncertainty():
     assert not geometry_shifts(MODEL.parameters, file(), FREE).any()
 
 
@@ -49,7 +49,7 @@ def test_accelerations_do_not_depend_on_the_geometry_in_the_file(name):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("three", [False, True])
-def test_a_fit_with_a_wrong_file_moves_by_the_stated_shift(three):
+def test_a_wrong_file_shifts_a_fit_as_stated(three):
     vehicle = MODEL.vehicle
     if three:  # two-way propellers, of which each turns either way half of the time
         ring = [p.model_copy(update={"reverse": 0.8}) for p in vehicle.propellers[::2]]

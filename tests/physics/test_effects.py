@@ -63,14 +63,14 @@ def named(name):
     ],
     ids=["linear", "quadratic", "about the centre of mass"],
 )
-def test_drag_by_hand(drag, offset, moving, expected):
+def test_drag_matches_a_hand_calculation(drag, offset, moving, expected):
     base = replace(BASE, center_of_mass=np.array([offset, 0.0]))
     found = accelerate((drag,), [0.0, *moving], base=base)
     np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12)
 
 
 @given(motions)
-def test_drag_points_against_the_motion_at_any_yaw(motion):
+def test_drag_opposes_the_motion_at_any_yaw(motion):
     found = accelerate((Drag(0.5, 0.1, 0.2, 0.05),), motion)
     _, vx, vy, spin = motion
     rate = 0.5 + 0.1 * np.hypot(vx, vy)
@@ -78,7 +78,7 @@ def test_drag_points_against_the_motion_at_any_yaw(motion):
     assert found[2] == pytest.approx(-(0.2 + 0.05 * abs(spin)) * spin, abs=1e-12)
 
 
-def test_spin_drag_does_not_push_and_drag_does_not_turn():
+def test_spin_drag_only_turns_and_drag_only_pushes():
     assert accelerate((Drag(0.5, 0.1),), [1.0, 2.0, 1.0, 9.0])[2] == 0
     np.testing.assert_array_equal(
         accelerate((Drag(spin_linear=1.0, spin_quadratic=1.0),), [1.0, 2.0, 1.0, 9.0])[:2], 0
@@ -86,16 +86,16 @@ def test_spin_drag_does_not_push_and_drag_does_not_turn():
 
 
 @given(yaws)
-def test_a_tilt_pulls_the_same_way_in_the_world_at_any_yaw(yaw):
+def test_a_tilt_pulls_in_a_fixed_world_direction(yaw):
     found = accelerate((Tilt(0.01, -0.02),), [yaw, 1.0, 1.0, 0.0])
     np.testing.assert_allclose(found, [9.81 * 0.01, -9.81 * 0.02, 0], atol=1e-12)
 
 
-def test_gravity_is_that_of_the_earth():
+def test_gravity_is_standard_gravity():
     assert pytest.approx(9.81, abs=0.01) == GRAVITY
 
 
-def test_a_propeller_that_moves_along_its_thrust_loses_thrust():
+def test_a_propeller_moving_along_its_thrust_loses_thrust():
     # motor_a_1 pushes left: moving left at 2 m/s costs 0.1·2, moving right gains as much.
     inflow, one = Inflow.of(LAYOUT, 0.1), np.ones(6)
     a_1, a_2 = named("motor_a_1"), named("motor_a_2")
@@ -108,14 +108,14 @@ def test_a_propeller_that_moves_along_its_thrust_loses_thrust():
     assert inflow.thrust(np, one, felt(forward=2.0))[a_1] == pytest.approx(1.0)
 
 
-def test_inflow_has_the_direction_of_each_propeller():
+def test_inflow_follows_the_direction_of_each_propeller():
     # motor_b_1 pushes to 210 degrees, that is against forward motion by cos 30.
     change = Inflow.of(LAYOUT, 0.1).thrust(np, np.ones(6), felt(forward=1.0)) - 1
     assert change[named("motor_b_1")] == pytest.approx(0.1 * np.sqrt(3) / 2)
     assert change[named("motor_b_2")] == pytest.approx(-0.1 * np.sqrt(3) / 2)
 
 
-def test_a_spinning_craft_carries_its_propellers_along():
+def test_spin_contributes_to_the_inflow_of_propellers():
     # motor_a_1 sits 44 mm ahead and pushes left: at ω = 10 rad/s it moves left at 0.44 m/s.
     found = Inflow.of(LAYOUT, 0.1).thrust(np, np.ones(6), felt(spin=10.0))
     expected = 0.1 * 10 * 0.044048012075
@@ -141,14 +141,14 @@ def test_inflow_damps_any_motion(motion):
     assert force @ [vx, vy] + moment * spin == pytest.approx(expected, rel=1e-6, abs=1e-9)
 
 
-def test_a_pair_interacts_by_hand():
+def test_pair_interaction_matches_a_hand_calculation():
     # 0.4 N and 0.1 N with c = 0.5: 0.4 / 1.05 and 0.1 / 1.2; an unpaired propeller loses nothing.
     force = np.array([0.4, 0.1, 0.3, 0.0, 0.0, 0.0])
     found = PairInteraction.of(LAYOUT, 0.5).thrust(np, force, felt())
     np.testing.assert_allclose(found, [0.4 / 1.05, 0.1 / 1.2, 0.3, 0, 0, 0], rtol=1e-14)
 
 
-def test_pairs_are_those_of_the_vehicle():
+def test_pairs_come_from_the_vehicle():
     pairs = (("motor_a_1", "motor_b_2"),)
     craft = Vehicle.model_validate({**VEHICLE.model_dump(), "pairs": pairs})
     twins = PairInteraction.of(Layout(craft), 1.0).twins
@@ -156,7 +156,7 @@ def test_pairs_are_those_of_the_vehicle():
     assert twins[0, 3] == twins[3, 0] == 1
 
 
-def test_a_battery_sags_by_hand():
+def test_battery_sag_matches_a_hand_calculation():
     # 4 N in all and c = 1/2: q = 2 / (1 + √9) = 1/2, so a quarter of each thrust remains. The
     # load at that voltage, 1 N, costs c · 1 N = 1/2 of the voltage: the equation is satisfied.
     force = np.array([1.6, 0.4, 1.0, 0.0, 0.7, 0.3])
@@ -172,7 +172,7 @@ def test_voltage_and_load_of_a_battery_agree(coefficient, thrusts):
     np.testing.assert_allclose(left, voltage**2 * force, rtol=1e-9, atol=1e-300)
 
 
-def test_effects_act_one_after_the_other():
+def test_effects_act_in_sequence():
     # The pair interaction acts on the thrusts after the inflow effect.
     speed, motion = np.linspace(0.2, 0.9, 6), [0.0, 0.0, 2.0, 0.0]
     forces = thrust(BASE.thrust, speed) * (1 - 0.1 * VEHICLE.directions[:, 1] * 2.0)
@@ -203,13 +203,13 @@ def test_an_effect_with_zero_coefficients_changes_nothing(effects, motion):
 
 
 @pytest.mark.parametrize("effect", ALL, ids=lambda effect: type(effect).__name__)
-def test_every_effect_changes_something(effect):
+def test_every_effect_changes_the_motion(effect):
     motion, speed = [0.4, 1.0, -0.5, 2.0], np.linspace(0.1, 0.9, 6)
     change = accelerate((effect,), motion, speed) - accelerate((), motion, speed)
     assert np.abs(change).max() > 0.05
 
 
-def test_a_batch_is_many_single_craft():
+def test_a_batch_equals_single_craft():
     rng = np.random.default_rng(0)
     motion, speed = rng.normal(size=(4, 20)), rng.uniform(0, 1, (6, 20))
     dynamics = replace(BASE, effects=ALL)
@@ -222,7 +222,7 @@ def test_a_batch_is_many_single_craft():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("motion", [STILL, np.array([0.4, 1.0, -0.5, 2.0])])
-def test_jax_agrees_and_its_derivatives_are_finite_even_at_rest(motion):
+def test_jax_agrees_and_has_finite_derivatives_even_at_rest(motion):
     dynamics, speed = replace(BASE, effects=ALL), np.full(6, 0.3)
 
     def found(motion):

@@ -61,7 +61,7 @@ motions = st.tuples(st.floats(-7, 7), st.floats(-3, 3), st.floats(-3, 3), st.flo
 
 
 @given(motions, st.integers(0, 99))
-def test_a_hull_accelerates_as_the_textbook_says(motion, seed):
+def test_a_hull_accelerates_as_in_the_textbook(motion, seed):
     model, speed = craft(WATER), np.random.default_rng(seed).random(6)
     found = acceleration(np, model.dynamics, np.array(motion), speed)
     np.testing.assert_allclose(found, by_textbook(model, motion, speed), atol=1e-9)
@@ -77,7 +77,7 @@ def conserved(model, state):
     return np.array([rates @ momentum / 2, px, py, momentum[2] + x * py - y * px])
 
 
-def test_without_thrust_and_drag_energy_and_momentum_stay_although_the_craft_tumbles():
+def test_without_thrust_and_drag_energy_and_momentum_are_conserved():
     model = craft([0.8, *[0.0] * 6])
     dynamics = replace(model.dynamics, thrust=0 * model.dynamics.thrust)
     start = np.concatenate([[0.1, 0.2, 0.3, 0.5, -0.2, 3.0], np.zeros(6)])
@@ -87,7 +87,7 @@ def test_without_thrust_and_drag_energy_and_momentum_stay_although_the_craft_tum
         np.testing.assert_allclose(conserved(model, state), conserved(model, start), rtol=1e-9)
 
 
-def test_a_hull_without_water_is_a_craft_on_air():
+def test_a_hull_without_water_acts_like_a_craft_on_air():
     motion, speed = np.array([0.4, 1.0, -0.7, 2.0]), np.linspace(0.1, 0.9, 6)
     for frame in ("body", "world"):
         dry = replace(craft(np.zeros(7), frame).dynamics, effects=())
@@ -99,14 +99,14 @@ def test_a_hull_without_water_is_a_craft_on_air():
 
 
 @pytest.mark.parametrize("frame", ["body", "world"])
-def test_the_map_that_controllers_use_contains_the_added_mass(frame):
+def test_the_control_matrix_includes_the_added_mass(frame):
     dynamics, speed = craft([0.8, *[0.0] * 6], frame).dynamics, np.linspace(0.1, 0.9, 6)
     matrix, offset = acceleration_map(np, dynamics, 0.4, 2.0)
     expected = acceleration(np, dynamics, np.array([0.4, 0.0, 0.0, 2.0]), speed)
     np.testing.assert_allclose(matrix @ thrust(dynamics.thrust, speed) + offset, expected)
 
 
-def test_jax_computes_the_same():
+def test_jax_agrees_with_numpy():
     register_pytrees()
     dynamics, motion, speed = (
         craft(WATER).dynamics,
@@ -124,7 +124,7 @@ def test_a_model_file_keeps_a_hull(tmp_path):
     np.testing.assert_array_equal(read_model(tmp_path / "model.toml").parameters.hull, WATER)
 
 
-def test_a_hull_has_no_bound_on_the_acceleration_so_no_plan_claims_one():
+def test_a_hull_has_no_acceleration_bound():
     assert craft(WATER).dynamics.effects[0].acceleration_bound(None) is None
     assert isinstance(craft(WATER).dynamics.effects[0], Hull)
     assert (np.array(named_rung("M3+hull").initial(M3.vehicle).hull) > 0).all()

@@ -38,7 +38,7 @@ def states_of(random, play, count, fastest=5.0):
     ],
     ids=["default", "no drag", "small"],
 )
-def test_many_pucks_move_like_each_alone(play):
+def test_many_pucks_move_like_single_ones(play):
     random, after = np.random.default_rng(4), np.linspace(0.1, 1.6, 7)
     states = states_of(random, play, 60)
     numbers = np.clip(own(play) * random.uniform(0.7, 1.2, (60, 4)), 0.0, 1.0)
@@ -54,7 +54,7 @@ def test_many_pucks_move_like_each_alone(play):
     assert posts > 2
 
 
-def test_a_puck_at_rest_stays_and_no_times_give_no_states():
+def test_a_resting_puck_stays_and_no_times_give_no_states():
     state, numbers = np.array([[0.1, 0.2, 0.3, 0.0, 0.0, 0.0]]), own(PLAY)[None]
     np.testing.assert_allclose(
         puck_paths(PLAY, state, numbers, np.array([0.0, 9.0]))[0], [state[0]] * 2

@@ -15,7 +15,7 @@ unit = st.floats(0, 1)
 
 
 @given(unit, unit, st.floats(1e-4, 0.1), st.floats(1e-3, 0.2))
-def test_agrees_with_the_matrix_exponential(speed, command, duration, tau):
+def test_a_motor_step_matches_the_matrix_exponential(speed, command, duration, tau):
     # Zero-order hold of φ' = (u - φ)/τ: the exponential of [[-1/τ, 1/τ], [0, 0]] h.
     step = expm(np.array([[-1 / tau, 1 / tau], [0, 0]]) * duration)
     expected = step[0] @ [speed, command]
@@ -68,11 +68,11 @@ def test_a_motor_with_idle_lag_follows_its_differential_equation(speed, command)
     assert errors[1] < 0.35 * errors[0] + 1e-9
 
 
-def test_no_idle_lag_changes_nothing():
+def test_zero_idle_lag_changes_nothing():
     assert motor_step(np, 0.2, 0.7, 0.01, 0.03, 0.0) == motor_step(np, 0.2, 0.7, 0.01, 0.03)
 
 
-def test_no_lag_follows_at_once():
+def test_without_lag_a_motor_follows_immediately():
     assert motor_step(np, 0.2, 0.7, 0.01, 0.0) == 0.7
 
 

@@ -44,7 +44,7 @@ def energy(*discs):
     )
 
 
-def test_a_coasting_puck_is_that_of_the_differential_equation():
+def test_a_coasting_puck_solves_its_differential_equation():
     puck = Puck(drag_1_s=0.3, spin_drag_1_s=0.7)
     start = PuckState(0.1, -0.2, 3.0, 2.0, -1.0, 20.0)
     rate = np.array([0.3, 0.3, 0.7])
@@ -54,7 +54,7 @@ def test_a_coasting_puck_is_that_of_the_differential_equation():
     np.testing.assert_allclose(coast(puck, start, 2.0), solved.y[:, -1], rtol=1e-9)
 
 
-def test_without_drag_a_puck_goes_straight_at_its_speed():
+def test_without_drag_a_puck_moves_straight_at_constant_speed():
     puck = Puck(drag_1_s=0.0, spin_drag_1_s=0.0)
     assert coast(puck, PuckState(1.0, 2.0, 0.0, 3.0, -4.0, 5.0), 2.0) == (7, -6, 10, 3, -4, 5)
 
@@ -71,7 +71,7 @@ def test_a_puck_that_stops_first_never_arrives():
 
 
 @given(*[st.floats(-3, 3)] * 4, st.floats(0.01, 0.5))
-def test_the_first_meeting_with_a_circle(x, y, vx, vy, radius):
+def test_the_first_intersection_with_a_circle_is_found(x, y, vx, vy, radius):
     sigma = sigma_to_circle(x, y, vx, vy, radius)
     dense = np.linspace(0, 5, 2001)
     distance = np.hypot(x + vx * dense, y + vy * dense)
@@ -108,7 +108,7 @@ def test_the_first_meeting_with_a_circle(x, y, vx, vy, radius):
         ((0.99, 0.0, 0, -1.0, 0.0), 1.99 + RADIUS, "goal", (0, 0)),
     ],
 )
-def test_what_a_puck_meets_first(start, sigma, boundary, normal):
+def test_the_first_contact_of_a_puck_is_found(start, sigma, boundary, normal):
     found = WALLS.first(PuckState(*start))
     assert found.sigma == pytest.approx(sigma, rel=1e-12)
     assert found.boundary == boundary
@@ -120,7 +120,7 @@ def test_a_puck_at_rest_meets_nothing():
 
 
 @given(st.floats(-1.1, 1.1), st.floats(-0.6, 0.6))
-def test_the_nearest_place_is_free_and_stays(x, y):
+def test_the_nearest_free_place_is_found_and_kept(x, y):
     near = WALLS.nearest(x, y)
     line, half = TABLE.length_m / 2, TABLE.goal_width_m / 2
     assert abs(near[1]) <= TABLE.width_m / 2 - RADIUS + 1e-12
@@ -132,14 +132,14 @@ def test_the_nearest_place_is_free_and_stays(x, y):
 
 
 @pytest.mark.parametrize("angle", [0.1, 0.7, 1.2])
-def test_a_smooth_elastic_rail_is_a_mirror(angle):
+def test_a_smooth_elastic_rail_acts_as_a_mirror(angle):
     body = disc(vx=math.cos(angle), vy=-math.sin(angle), spin=5.0)
     strike(body, Disc(0.0, 0.0), 0.0, 1.0, Contact(restitution=1.0, grip=0.0))
     expected = math.cos(angle), math.sin(angle), 5.0
     assert (body.vx, body.vy, body.spin) == pytest.approx(expected)
 
 
-def test_the_published_rail():
+def test_the_published_rail_keeps_its_stated_shares_of_speed():
     # It keeps 0.79 of its speed across the rail and 0.84 along it; the lost momentum turns it.
     body = disc(vx=1.0, vy=-2.0)
     strike(body, Disc(0.0, 0.0), 0.0, 1.0, Puck().rail)
@@ -149,7 +149,7 @@ def test_the_published_rail():
     assert body.spin == pytest.approx(-2 * 0.16 / RADIUS)
 
 
-def test_a_grazing_puck_slips_within_the_cone():
+def test_a_grazing_puck_slips_within_the_friction_cone():
     body = disc(vx=5.0, vy=-0.1)
     strike(body, Disc(0.0, 0.0), 0.0, 1.0, Contact(restitution=0.5, grip=1.0, friction=0.2))
     assert body.vx == pytest.approx(5.0 - 0.2 * 1.5 * 0.1)
@@ -172,7 +172,9 @@ motions = st.tuples(speed, speed, st.floats(-50, 50))
 
 
 @given(motions, motions, st.floats(-math.pi, math.pi), laws, st.floats(0.005, 0.5), share)
-def test_momentum_angular_momentum_and_energy(one, other, angle, law, mass, offset):
+def test_momentum_and_angular_momentum_are_conserved_and_energy_never_grows(
+    one, other, angle, law, mass, offset
+):
     nx, ny = math.cos(angle), math.sin(angle)
     first = disc(0.3, 0.1, *one)
     second = disc(0.3 - 0.1 * nx, 0.1 - 0.1 * ny, *other, radius=0.1 - RADIUS, mass=mass)
@@ -271,7 +273,7 @@ def test_plain_numbers_and_arrays_agree(normal, slip, restitution, friction, gri
 
 
 @given(st.floats(-5, -0.01), speeds, share, st.floats(0, 2), share, arms)
-def test_a_contact_at_the_middle_gives_back_pushes_and_keeps_to_the_cone(
+def test_a_central_contact_rebounds_and_stays_in_the_friction_cone(
     normal, slip, restitution, friction, grip, arm_n
 ):
     k = mobility(MASS, INERTIA, arm_n, 0.0)

@@ -48,7 +48,7 @@ def folded(way, reach):
 
 
 @pytest.mark.parametrize("velocity", [(3.0, 2.0), (-97.0, 41.0), (0.3, -8.0)])
-def test_between_mirrors_a_puck_is_where_unfolding_puts_it(velocity):
+def test_between_mirrors_a_puck_follows_the_unfolded_path(velocity):
     vx, vy = velocity
     puck = PuckOnTable(BILLIARD, PuckState(0.1, -0.2, 0.0, vx, vy, 3.0))
     for k in range(1, 200):
@@ -62,7 +62,7 @@ def test_between_mirrors_a_puck_is_where_unfolding_puts_it(velocity):
     assert len(puck.touches) > 2
 
 
-def test_with_drag_the_time_of_the_first_bounce_is_closed():
+def test_with_drag_the_first_bounce_time_has_a_closed_form():
     puck = PuckOnTable(PLAY, PuckState(0.0, 0.3, 0.0, 1.5, 0.0))
     puck.run(2.0)
     x = PLAY.table.reach(PLAY.puck.radius_m)[0]
@@ -97,7 +97,7 @@ def test_a_puck_in_a_goal_stays_there_until_it_is_placed():
     assert puck.goal == 0
 
 
-def test_a_disc_that_does_not_fit_is_stopped_by_the_posts():
+def test_a_disc_too_large_for_the_goal_is_stopped_by_the_posts():
     # At every distance from the long axis: it enters within the opening minus a radius.
     half, radius = PLAY.table.goal_width_m / 2, PLAY.puck.radius_m
     for beside in np.linspace(0.001, 0.4, 81):
@@ -146,7 +146,7 @@ def test_contacts_name_the_disc_and_the_motion_before_them():
     assert puck.touches[-1].disc is None
 
 
-def test_a_craft_that_pushes_takes_the_puck_along():
+def test_a_pushing_craft_carries_the_puck_along():
     # 8 m/s² of thrust for half a second in steps of a millisecond: both move as one body.
     play = AirHockey.model_construct(table=CLOSED, puck=Puck(drag_1_s=0.0))
     puck, x, v, h = PuckOnTable(play, PuckState(-0.5 + R + 0.07, 0.0)), -0.5, 0.0, 1e-3
@@ -165,7 +165,7 @@ def test_a_craft_that_pushes_takes_the_puck_along():
 
 
 @pytest.mark.parametrize("give_way", [True, False])
-def test_a_wedged_puck_stops_and_holds_what_presses_it(give_way):
+def test_a_wedged_puck_stops_and_blocks_what_presses_on_it(give_way):
     reach = CLOSED.reach(R)[0]
     play = AirHockey.model_construct(table=CLOSED, puck=Puck())
     puck, x = PuckOnTable(play, PuckState(reach - 0.01, 0.2)), 0.6
@@ -197,7 +197,7 @@ def test_a_wedged_puck_stops_and_holds_what_presses_it(give_way):
     st.floats(0, 1.5),
     st.floats(0, 1),
 )
-def test_by_itself_a_puck_never_gains_energy(motion, restitution, grip, friction, drag):
+def test_a_free_puck_never_gains_energy(motion, restitution, grip, friction, drag):
     law = Contact(restitution=restitution, grip=grip, friction=friction)
     play = AirHockey(puck=Puck(rail=law, drag_1_s=drag, spin_drag_1_s=drag))
     x, y, vx, vy, spin = np.array(motion) * [1.0, 0.5, 20, 20, 200]
@@ -212,7 +212,7 @@ def test_by_itself_a_puck_never_gains_energy(motion, restitution, grip, friction
 
 @pytest.mark.slow
 @pytest.mark.parametrize("hundred", range(2))
-def test_random_games(hundred):
+def test_random_games_obey_the_laws_of_physics(hundred):
     games = study("random_games")
     met = [games.game(seed, 1.0) for seed in range(100 * hundred, 100 * (hundred + 1))]
     for kind in ("rail", "post", "mallet", "craft", "goals"):

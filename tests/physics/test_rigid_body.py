@@ -41,13 +41,13 @@ def general_parameters():
 
 
 @given(st.floats(-1e4, 1e4))
-def test_a_wrapped_angle_points_the_same_way(angle):
+def test_a_wrapped_angle_points_in_the_same_direction(angle):
     near = wrapped(np, np.array([angle]))
     assert np.abs(near) <= np.pi + 1e-9
     np.testing.assert_allclose(np.exp(1j * near), np.exp(1j * angle), atol=1e-9)
 
 
-def test_only_the_yaw_of_a_state_repeats():
+def test_only_the_yaw_of_a_state_is_periodic():
     state = np.array([10.0, -10.0, 3 * np.pi + 0.1, 10.0, 10.0, 10.0])
     expected = [10, -10, -np.pi + 0.1, 10, 10, 10]
     np.testing.assert_allclose(pose_difference(np, state, np.zeros(6)), expected)
@@ -55,7 +55,7 @@ def test_only_the_yaw_of_a_state_repeats():
     np.testing.assert_allclose(many, np.stack([expected, expected], axis=1))
 
 
-def test_configuration_matrix_by_hand():
+def test_the_configuration_matrix_matches_a_hand_calculation():
     # One propeller 0.1 m ahead, pushing left: a force forward never, left 1/m, moment 0.1/I.
     matrix = configuration_matrix(
         np, np.array([[0.1, 0.0]]), np.array([[0.0, 1.0]]), 2.0, 0.5, 0.0, np.zeros(2)
@@ -63,7 +63,7 @@ def test_configuration_matrix_by_hand():
     np.testing.assert_allclose(matrix, [[0], [0.5], [0.2]])
 
 
-def test_angle_offset_turns_forces_and_positions():
+def test_an_angle_offset_rotates_forces_and_positions():
     vehicle = default_vehicle()
     nominal = nominal_parameters(vehicle)
     turned = replace(nominal, angle_offset=2 * np.pi / 3).dynamics(np, vehicle).configuration
@@ -72,7 +72,7 @@ def test_angle_offset_turns_forces_and_positions():
     np.testing.assert_allclose(turned, np.roll(straight, -2, axis=1), atol=1e-7)
 
 
-def test_matches_the_published_matrix():
+def test_it_matches_the_published_matrix():
     # params.json holds the matrix that the authors' code computed for nominal parameters.
     matrix = nominal_parameters(default_vehicle()).dynamics(np, default_vehicle()).configuration
     np.testing.assert_allclose(matrix[0, 2:], np.array([-1, 1, 1, -1]) * 6.289218, rtol=1e-6)
@@ -93,7 +93,7 @@ def test_first_principles_equal_the_direct_matrix(speed, motion):
 
 
 @given(speeds, motions)
-def test_newton_and_euler_about_the_center_of_mass(speed, motion):
+def test_newton_and_euler_hold_about_the_centre_of_mass(speed, motion):
     """Sum forces and moments propeller by propeller, then move to the geometric centre."""
     vehicle, parameters = default_vehicle(), general_parameters()
     dynamics = parameters.dynamics(np, vehicle)
@@ -111,7 +111,7 @@ def test_newton_and_euler_about_the_center_of_mass(speed, motion):
     np.testing.assert_allclose(result, [*expected, spin_rate], rtol=1e-10, atol=1e-9)
 
 
-def test_the_papers_frame_leaves_the_offset_unrotated():
+def test_the_papers_frame_does_not_rotate_the_mass_offset():
     vehicle, parameters = default_vehicle(), general_parameters()
     speed, motion = np.full(6, 0.3), np.array([1.0, 0.0, 0.0, 2.0])
     body = acceleration(np, parameters.dynamics(np, vehicle, "body"), motion, speed)
@@ -151,7 +151,7 @@ def test_coasting_conserves_momentum():
 
 
 @pytest.mark.parametrize("n", [1, 2, 4, 8])
-def test_any_number_of_propellers(n):
+def test_any_number_of_propellers_is_accepted(n):
     rng = np.random.default_rng(n)
     matrix = configuration_matrix(
         np, rng.normal(size=(n, 2)), rng.normal(size=(n, 2)), 1.0, 1.0, 0.1, np.zeros(2)
@@ -159,7 +159,7 @@ def test_any_number_of_propellers(n):
     assert matrix.shape == (3, n)
 
 
-def test_the_map_for_control_knows_the_slope_of_the_table():
+def test_the_control_offset_includes_the_table_slope():
     model = published_model("M3")
     sloping = replace(model.parameters, tilt=np.array([2e-3, -1e-3]))
     dynamics = sloping.dynamics(np, model.vehicle)

@@ -42,7 +42,7 @@ def after(dynamics, steps):
     return states[-1]
 
 
-def test_fourth_order_convergence(dynamics, reference):
+def test_the_rollout_converges_at_fourth_order(dynamics, reference):
     errors = [np.abs(after(dynamics, n) - reference)[:6].max() for n in (4, 8, 16, 32)]
     orders = np.log2(np.array(errors[:-1]) / errors[1:])
     np.testing.assert_allclose(orders, 4, atol=0.35)
@@ -56,7 +56,7 @@ def test_at_240_hz_the_integration_error_is_negligible(dynamics, reference):
     assert np.abs(after(dynamics, 24) - reference)[:3].max() < 1e-6
 
 
-def test_without_lag_the_new_command_acts_from_the_start():
+def test_without_lag_a_new_command_acts_from_the_start():
     dynamics = published_model("M0").dynamics
     moved = step(np, dynamics, STATE, COMMAND, 0.01)
     other = step(np, dynamics, np.concatenate([STATE[:6], np.zeros(6)]), COMMAND, 0.01)

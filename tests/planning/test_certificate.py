@@ -30,7 +30,7 @@ def request(start, state, limits=WIDE):
 
 @pytest.mark.parametrize("yaw", [0.0, 0.4, 1.9, 3.3, 5.0])
 @pytest.mark.parametrize("redrawn", [False, True])
-def test_chords_of_the_frontier_lie_above_linear_programs(yaw, redrawn):
+def test_chords_of_the_frontier_bound_linear_programs_from_above(yaw, redrawn):
     low, high = np.full(6, 0.01), M3.dynamics.thrust.sum(axis=1)
     moments = np.linspace(-280.0, 280.0, 29)
     table = frontier(M3, np.array([yaw]), low, high, moments, (0.0, 0.0), redrawn)[0]
@@ -49,7 +49,7 @@ def test_chords_of_the_frontier_lie_above_linear_programs(yaw, redrawn):
 
 
 @pytest.mark.parametrize("yaw", [0.4, 3.3])
-def test_the_frontier_includes_moments_that_effects_add(yaw):
+def test_the_frontier_includes_moments_of_effects(yaw):
     low, high = np.full(6, 0.01), M3.dynamics.thrust.sum(axis=1)
     turn = np.asarray(M3.dynamics.configuration)[2]
     reach = [np.where(side * turn > 0, high, low) @ turn + side * 40.0 for side in (-1, 1)]
@@ -60,7 +60,7 @@ def test_the_frontier_includes_moments_that_effects_add(yaw):
 
 
 @pytest.mark.parametrize(("turning", "velocity"), [(1, (0, 0, 0)), (-1, (0, 0, 0)), (1, None)])
-def test_a_few_long_steps_bound_the_push_of_a_craft_in_a_spin(turning, velocity):
+def test_a_few_long_steps_bound_the_push_of_a_spinning_craft(turning, velocity):
     """The weight turns against the craft, so that chords between steps miss most."""
     model, spin, time, nowhere = one_axis(), 3.0 * turning, 0.2, np.zeros((0, 2))
     start = np.array([0, 0, -0.3 * turning, 0, 0, spin, *np.zeros(6)])
@@ -75,7 +75,7 @@ def test_a_few_long_steps_bound_the_push_of_a_craft_in_a_spin(turning, velocity)
 
 
 @pytest.mark.parametrize("yaw", [0.4, 1.9, 3.3])
-def test_chords_that_begin_anywhere_lie_above_the_kinks_of_the_frontier(yaw):
+def test_chords_between_any_two_points_lie_above_the_frontiers_kinks(yaw):
     low, high = np.full(6, 0.01), M3.dynamics.thrust.sum(axis=1)
     forward, left, turn = np.asarray(M3.dynamics.configuration)
     push = np.cos(yaw) * forward - np.sin(yaw) * left
@@ -100,7 +100,7 @@ def test_motor_speeds_stay_within_their_proven_range():
 
 
 @pytest.mark.parametrize("seed", range(0, 1000, 100))
-def test_no_flight_is_refuted(seed):
+def test_no_feasible_flight_is_refuted(seed):
     """Craft with three to eight propellers and every effect; studies/bounds.py has more cases."""
     _, asked, weight, time = case(seed)
     needed, most, scale = missing_at(asked, weight, time)
@@ -116,7 +116,7 @@ def test_no_flight_is_faster_than_its_bound(seed):
 
 
 @pytest.mark.parametrize("seed", [6, 17, 27, 28])
-def test_a_refutation_two_percent_too_strong_refutes_a_flight(seed):
+def test_a_bound_two_percent_too_strong_refutes_a_flight(seed):
     """Without this the test above could not notice wrong bounds."""
     _, asked, weight, time = sharp(seed)
     needed, most, _ = missing_at(asked, weight, time)
@@ -125,14 +125,14 @@ def test_a_refutation_two_percent_too_strong_refutes_a_flight(seed):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [2, 17])
-def test_the_bound_is_close_for_the_fastest_flights(seed):
+def test_the_bound_is_tight_for_the_fastest_flights(seed):
     _, asked, weight, time = sharp(seed)
     assert time < 1.02 * lower_bound(asked, weight, 1.3 * time) <= 1.02 * time
 
 
 @pytest.mark.parametrize("direction", [1, -1])
 @pytest.mark.parametrize("axis", [0, 1])
-def test_a_craft_that_must_turn_to_brake_is_certain_to_hit_the_rail_ahead(direction, axis):
+def test_a_craft_that_must_turn_to_brake_certainly_hits_the_rail(direction, axis):
     # Backwards, along its weakest push; without turning, the rail is just far enough.
     state = np.array([0, 0, np.pi * (axis / 2 + (direction > 0)), 0, 0, 0])
     state[axis] = direction * (Table().reach(M3.vehicle.radius_m)[axis] - 0.1)
@@ -142,7 +142,7 @@ def test_a_craft_that_must_turn_to_brake_is_certain_to_hit_the_rail_ahead(direct
         assert unavoidable_rail(asked) == certain
 
 
-def test_effects_that_may_brake_weaken_the_proof_of_a_crash():
+def test_effects_that_may_brake_prevent_the_proof_of_a_crash():
     """The slope of the table, and a centre of mass that moves as the craft turns."""
     state = np.array([Table().reach(M3.vehicle.radius_m)[0] - 0.1, 0, np.pi, 1.05, 0, 0])
     aside = replace(M3, parameters=replace(M3.parameters, center_of_mass=np.array([0.01, 0.0])))
@@ -181,7 +181,7 @@ def along_x(duration):
     return Weight(duration / 2 + 0j, -1.0 + 0j)
 
 
-def test_a_bound_does_not_depend_on_the_time_of_a_plan():
+def test_the_bound_does_not_depend_on_the_duration_of_the_plan():
     """The bound stays valid even if a plan claims an impossible duration."""
     asked = request((0, 0, 0), np.array([0.5, 0, 0, 0, 0, 0.0]))
     found = [lower_bound(asked, along_x(time), time) for time in (0.4, 0.6)]
@@ -190,7 +190,7 @@ def test_a_bound_does_not_depend_on_the_time_of_a_plan():
 
 
 @pytest.mark.slow
-def test_a_part_of_a_plan_is_not_faster_than_its_bound():
+def test_a_segment_of_a_plan_is_not_faster_than_its_bound():
     """A part of a fastest flight is nearly a fastest flight: its bound comes close to it."""
     asked = checked_request(
         M3, (-0.5, -0.1, 0.3, 0.4, 0.5, 1.0), (0.5, 0.2, -1.0), (), Table(), (), Limits()
@@ -203,7 +203,7 @@ def test_a_part_of_a_plan_is_not_faster_than_its_bound():
 
 
 @pytest.mark.slow
-def test_a_craft_that_moves_at_both_ends_has_a_bound_near_its_plan():
+def test_the_bound_is_tight_for_moving_start_and_goal():
     # The craft cannot wait here, so short durations must be refuted as well.
     start, goal = (-0.77, 0.11, 1.65, -0.08, 0.57, -3.26), (0.73, -0.35, -0.22, -0.59, -0.06, 2.9)
     found = airpuck.plan(M3, start, goal, table=Table(), intervals=20)
@@ -218,7 +218,7 @@ def test_the_bound_holds_for_any_weight_and_is_zero_for_a_useless_one():
 
 
 @pytest.mark.slow
-def test_a_figure_of_eight_has_a_bound_though_its_legs_are_curved():
+def test_a_figure_of_eight_has_a_bound_despite_its_curved_legs():
     point = (0.5, 0.25)
     asked = checked_request(M3, (0, 0, 0), (0, 0, 0), (point, (-0.5, 0.25)), None, (), WIDE)
     bound = lower_bound_through(asked, np.array([0.7, 1.5, 0.7]))
@@ -231,7 +231,7 @@ def test_a_figure_of_eight_has_a_bound_though_its_legs_are_curved():
 
 
 @pytest.mark.slow
-def test_a_flight_with_a_velocity_at_the_goal_is_not_refuted_by_its_legs():
+def test_a_moving_goal_is_not_refuted_by_its_legs():
     """Full thrust to the point, then full braking: flown backwards, the last leg begins slowly."""
     fast, slow = 1.0, 0.2  # [m/s], at the point and at the goal
     times = np.array([fast, fast - slow]) / ACCELERATION
@@ -269,7 +269,7 @@ def straight(begin, end, time):
 @pytest.mark.parametrize(
     ("motion", "tilt"), [((2.0, 0.5, 0.0), None), ((0.6, -0.3, 3.0), (0.02, -0.01))]
 )
-def test_a_craft_without_thrust_cannot_be_later_than_it_is(motion, tilt):
+def test_the_bound_of_a_coasting_craft_is_nearly_its_time(motion, tilt):
     """In fractions of a step that it has coasted; its place and velocity there are exact."""
     asked, _ = drifting(0.4, motion, tilt=tilt)
     direction = complex(*motion[:2]) / abs(complex(*motion[:2]))
@@ -280,7 +280,7 @@ def test_a_craft_without_thrust_cannot_be_later_than_it_is(motion, tilt):
 @pytest.mark.parametrize("begin", [1.0 + 0j, 0.3 - 0.7j])
 @pytest.mark.parametrize("end", [-1j, 0.6 + 0.2j])
 @pytest.mark.parametrize("tilt", [None, (0.02, -0.01)])
-def test_a_craft_that_turns_about_its_centre_of_mass_needs_no_thrust(begin, end, tilt):
+def test_turning_about_the_centre_of_mass_needs_no_thrust(begin, end, tilt):
     asked, _ = drifting(0.4, (0.5, -0.3, -5.0), tilt=tilt)
     needed, most, _ = missing_at(asked, straight(begin, end, 0.4), 0.4)
     assert -1e-5 < needed <= most < 1e-4
@@ -288,7 +288,7 @@ def test_a_craft_that_turns_about_its_centre_of_mass_needs_no_thrust(begin, end,
 
 @pytest.mark.parametrize("end", [-1j, 0.6 + 0.2j])
 @pytest.mark.parametrize(("spin", "turn"), [(-5.0, "exact"), (2.0, "shorter")])
-def test_a_centre_of_mass_fixed_in_the_world_is_pulled_along_its_offset(end, spin, turn):
+def test_a_world_fixed_mass_offset_is_accelerated_along_itself(end, spin, turn):
     asked, _ = drifting(0.4, (0.5, -0.3, spin), frame="world", turn=turn)
     needed, most, _ = missing_at(asked, straight(1.0 + 0j, end, 0.4), 0.4)
     pulled = 0.4 * np.dot((0.05, 0.02), ((1 + end.real) / 2, end.imag / 2)) * spin**2
@@ -296,7 +296,7 @@ def test_a_centre_of_mass_fixed_in_the_world_is_pulled_along_its_offset(end, spi
     assert needed <= most
 
 
-def test_a_free_yaw_may_have_the_centre_of_mass_anywhere_around():
+def test_a_free_yaw_allows_any_direction_of_the_mass_offset():
     asked, states = drifting(0.4, (0.5, -0.3, 3.0), free=["yaw"])
     arm = complex(0.05, 0.02) * np.exp(1j * states[-1, 2])
     # The weight for which no other final yaw is worse.
@@ -305,7 +305,7 @@ def test_a_free_yaw_may_have_the_centre_of_mass_anywhere_around():
 
 
 @pytest.mark.parametrize("turn", ["exact", "shorter"])
-def test_a_centre_of_mass_fixed_in_the_world_depends_on_all_turns(turn):
+def test_a_world_fixed_mass_offset_depends_on_all_turns(turn):
     spin, aside = 2 * np.pi + 0.5, 1j * complex(0.05, 0.02)
     free = ["yaw"] if turn == "exact" else ()
     asked, _ = drifting(1.0, (0.5, -0.3, spin), frame="world", free=free, turn=turn)
@@ -313,13 +313,13 @@ def test_a_centre_of_mass_fixed_in_the_world_depends_on_all_turns(turn):
     assert -1e-5 < needed <= most
 
 
-def test_a_free_velocity_may_be_as_large_as_the_limit():
+def test_a_free_velocity_may_reach_the_limit():
     asked, _ = drifting(0.4, (-1.0, -1.0, 0.0), free=["velocity"])
     needed, most, _ = missing_at(asked, straight(-0.3 + 1j, 1.0 + 0.5j, 0.4), 0.4)
     assert -0.01 < needed <= most  # a spin of 0.1 rad/s is allowed, and needs 5 mm/s
 
 
-def test_a_centre_of_mass_beside_the_rail_is_beyond_it():
+def test_the_centre_of_mass_may_be_beyond_the_reach_of_the_craft():
     asked, _ = drifting(0.4, (0.0, 0.5, 0.0), yaw=0.0, offset=(0.05, 0.0))
     asked = replace(asked, reach=(0.1, 1.0))
     weight = Weight(0j, 0j, np.array([0.2]), np.array([-1.0 + 0j]))
@@ -327,7 +327,7 @@ def test_a_centre_of_mass_beside_the_rail_is_beyond_it():
     assert -1e-5 < needed <= most
 
 
-def test_a_centre_of_mass_fixed_in_the_world_moves_aside_with_every_turn():
+def test_a_world_fixed_mass_offset_moves_sideways_with_every_turn():
     # It is accelerated along y; by 1.52 s it has moved 0.15 m along -x.
     asked, _ = drifting(1.6, (0.0, 0.0, 2.0), frame="world", offset=(0.0, 0.05))
     asked = replace(asked, reach=(0.1, 2.0), start=asked.start + np.eye(12)[0] * -0.2)

@@ -29,7 +29,7 @@ def table():
     )
 
 
-def test_what_is_linear_is_looked_up_exactly():
+def test_linear_functions_are_interpolated_exactly():
     found, random = table(), np.random.default_rng(0)
     away, velocity = random.uniform(-0.7, 0.7, (2, 50)), random.uniform(-0.7, 0.7, (2, 50))
     distance, speed = np.hypot(*away), np.hypot(*velocity)
@@ -40,12 +40,12 @@ def test_what_is_linear_is_looked_up_exactly():
     assert found(away[:, 0], velocity[:, 0]) == pytest.approx(expected[0])
 
 
-def test_beyond_the_axes_the_last_cell_leads_on():
+def test_the_table_extrapolates_linearly():
     assert table()((4.0, 0.0), (0.0, 1.0)) == pytest.approx(1.0 + 2 * 2.0 + 0.5)
     assert table()((1.0, 0.0), (9.0, 0.0)) == pytest.approx(1.0 + 2.0 + 0.5 * 9 - 0.25)
 
 
-def test_a_file_gives_the_table_back(tmp_path):
+def test_a_table_round_trips(tmp_path):
     path = tmp_path / "times.toml"
     table().save(path)
     again = read_minimal_times(path)
@@ -57,14 +57,14 @@ def test_a_file_gives_the_table_back(tmp_path):
 
 
 @pytest.mark.slow
-def test_the_packaged_table_agrees_with_plans_as_well_as_it_says():
+def test_the_packaged_table_agrees_with_plans_within_its_error():
     found, model = read_minimal_times(), airpuck.read_model("paper:M3")
     planned = shortest_time(model, 0.7, (0.0, 0.7), 1.0, "rest")
     assert abs(float(found((0.7, 0.0), (0.0, 0.7))) - planned) < found.error["worst"]
 
 
 @pytest.mark.slow
-def test_a_table_is_for_one_craft(monkeypatch, tmp_path):
+def test_a_table_is_valid_for_one_craft_only(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     model = airpuck.read_model("paper:M3")
     assert minimal_times_of(model).craft == craft_of(model)
@@ -78,7 +78,7 @@ def test_a_table_is_for_one_craft(monkeypatch, tmp_path):
     assert found.craft == craft_of(other) != craft_of(scaled(model, 0.42))
 
 
-def test_without_casadi_only_another_craft_is_refused(monkeypatch, tmp_path):
+def test_without_casadi_only_other_craft_are_rejected(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setitem(sys.modules, "casadi", None)
     assert minimal_times_of(airpuck.read_model("paper:M3")).margin == 0
@@ -86,14 +86,14 @@ def test_without_casadi_only_another_craft_is_refused(monkeypatch, tmp_path):
         minimal_times_of(scaled(airpuck.read_model("paper:M3"), 0.43))
 
 
-def test_an_error_above_the_usual_one_is_kept_in_reserve():
+def test_an_unusually_large_error_adds_a_margin():
     packaged = read_minimal_times()
     assert replace(packaged, error={"p95": 0.1}).margin == pytest.approx(0.064)
     assert replace(packaged, error={"p95": 0.02}).margin == 0
 
 
 @pytest.mark.slow
-def test_times_of_another_craft_miss_its_plans_by_what_they_say(monkeypatch, tmp_path):
+def test_times_of_another_craft_match_its_plans_within_their_error(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     # Fewer plans than for a player, from fewer starts.
     starts = ((0.0, 0.0), (1.8, 0.0), (-1.8, 0.0))

@@ -88,7 +88,7 @@ def test_a_double_integrator_needs_two_root_d_over_a():
 
 
 @pytest.mark.slow
-def test_the_papers_craft(metre):
+def test_the_papers_craft_has_its_known_times(metre):
     assert metre.duration == pytest.approx(0.798, rel=5e-3)  # by an independent prototype
     turned = airpuck.plan(M3, (-0.5, 0, 0), (-0.5, 0, 2 * np.pi / 3), intervals=20)
     for found in (metre, turned):
@@ -96,7 +96,7 @@ def test_the_papers_craft(metre):
 
 
 @pytest.mark.slow
-def test_lag_costs_time_and_bound_alike():
+def test_lag_increases_both_time_and_bound():
     lag = 0.05
     slow = airpuck.plan(one_axis(lag), at_rest(0), at_rest(0.5), intervals=20)
     quick = 2 * np.sqrt(0.5 / ACCELERATION)
@@ -125,7 +125,7 @@ def test_half_a_turn_takes_a_quarter_of_a_second():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("model", [M3, EFFECTS], ids=["M3", "effects"])
-def test_an_independent_integrator_ends_at_the_goal(model):
+def test_an_independent_integration_ends_at_the_goal(model):
     start = (-0.3, -0.1, 0.5, 0.8, 0.3, 2.0)
     asked = checked_request(model, start, (0.2, 0.1, -0.3), (), Table(), (), Limits())
     path = search(asked, 12)[0].path
@@ -150,7 +150,7 @@ def test_an_independent_integrator_ends_at_the_goal(model):
         pytest.param(8, (0.02, 0.0, 0.6), 1.0, marks=pytest.mark.study),
     ],
 )
-def test_a_low_limit_of_spin_sets_the_time(propellers, goal, spin):
+def test_a_low_spin_limit_determines_the_time(propellers, goal, spin):
     model = ring(propellers) if propellers else M3
     asked = checked_request(model, at_rest(0), goal, (), None, (), Limits(spin=spin))
     found, _ = search(asked, 20)
@@ -161,7 +161,7 @@ def test_a_low_limit_of_spin_sets_the_time(propellers, goal, spin):
 
 
 @pytest.mark.slow
-def test_of_all_final_yaws_the_search_finds_one_of_the_best():
+def test_the_search_finds_one_of_the_best_final_yaws():
     """With the start's yaw as the only initial guess, this plan was 3 % slower than the best."""
     asked = checked_request(M3, (0, 0, 0.4), Goal(0.3, 0.0, None), (), None, (), Limits())
     found, tried = search(asked, 20)
@@ -172,7 +172,7 @@ def test_of_all_final_yaws_the_search_finds_one_of_the_best():
 
 
 @pytest.mark.study
-def test_a_grid_four_times_as_fine_agrees(metre):
+def test_a_four_times_finer_grid_agrees(metre):
     finer = airpuck.plan(M3, (-0.5, 0, 0), (0.5, 0, 0), intervals=160)
     assert finer.duration == pytest.approx(metre.duration, rel=5e-3)
 
@@ -185,7 +185,7 @@ def test_a_neighbouring_plan_can_start_a_search(metre):
 
 
 @pytest.mark.slow
-def test_way_points_rails_discs_and_limits_are_kept():
+def test_waypoints_rails_discs_and_limits_are_respected():
     table = Table(length_m=1.1, width_m=0.6)
     limits = Limits(reserve=0.1, spin=6.0, speed=0.8, margin=0.02)
     disc, point = (0.1, 0.0, 0.05), (-0.1, 0.15)
@@ -215,7 +215,7 @@ def test_a_goal_with_free_components_is_reached_sooner(metre):
 
 
 @pytest.mark.slow
-def test_a_plan_is_a_reference_that_feeds_its_accelerations_forward(metre):
+def test_a_plan_feeds_its_accelerations_forward(metre):
     flown = metre.starting(2.0)
     assert isinstance(flown, Reference)
     np.testing.assert_allclose(flown.at(1.0, 0.1).state, [-0.5, 0, 0, 0, 0, 0], atol=1e-9)
@@ -247,7 +247,7 @@ def coasting() -> Plan:
     return Plan(M3, np.array([0.0, 0.5]), states, np.full((1, 6), M3.vehicle.command_min), None)
 
 
-def test_a_plan_moves_only_between_its_start_and_its_end(coasting):
+def test_a_plan_rests_before_its_start_and_after_its_end(coasting):
     flown = coasting.starting(2.0)
     before, during, after = (flown.at(now, 0.01).state for now in (1.9, 2.2, 2.6))
     np.testing.assert_allclose(before, np.zeros(6))
@@ -271,7 +271,7 @@ def test_a_plan_moves_only_between_its_start_and_its_end(coasting):
         ),
     ],
 )
-def test_rows_of_a_plan_file_must_belong_together(coasting, tmp_path, old, new, said):
+def test_inconsistent_rows_of_a_plan_file_are_rejected(coasting, tmp_path, old, new, said):
     path = tmp_path / "plan.toml"
     coasting.save(path)
     text = path.read_text()
@@ -282,7 +282,7 @@ def test_rows_of_a_plan_file_must_belong_together(coasting, tmp_path, old, new, 
 
 
 @pytest.mark.slow
-def test_gentle_switches_cost_little_time(metre):
+def test_smoother_switching_costs_little_time(metre):
     gentle = fastest((-0.5, 0, 0), (0.5, 0, 0), limits=Limits(smoothing=2e-4), intervals=30)
     assert metre.duration < gentle.time < 1.02 * metre.duration
     hardest = [np.abs(np.diff(p.commands, axis=0)).max() for p in (metre, gentle.path)]
@@ -290,7 +290,7 @@ def test_gentle_switches_cost_little_time(metre):
 
 
 @pytest.mark.slow
-def test_a_plan_file_gives_the_plan_back(metre, tmp_path):
+def test_a_plan_file_round_trips(metre, tmp_path):
     path = tmp_path / "plan.toml"
     metre.save(path)
     again = read_plan(path, M3)
@@ -305,7 +305,7 @@ def test_a_plan_file_gives_the_plan_back(metre, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_plan_that_did_not_converge_is_rejected(metre, monkeypatch):
+def test_an_unconverged_plan_is_rejected(metre, monkeypatch):
     # The disc blocks the table from rail to rail.
     asked = {"start": (-0.9, 0, 0), "goal": (0.9, 0, 0), "table": Table()}
     with pytest.raises(InputError, match="no plan was found from any of 1 starts"):
@@ -327,7 +327,7 @@ def test_a_plan_that_did_not_converge_is_rejected(metre, monkeypatch):
         ),
     ],
 )
-def test_a_free_yaw_is_not_beaten_by_random_starts(start, goal, found):
+def test_random_starts_do_not_beat_the_search_over_a_free_yaw(start, goal, found):
     request = checked_request(M3, start, Goal(*goal), (), None, (), Limits())
     assert search(request, 20)[0].time < 1.005 * found
 

@@ -37,7 +37,7 @@ def checked(start=REST, goal=(0.5, 0.0, 0.0), via=(), keep_out=(), limits=None, 
         ({"start": (0, 0, 0, 0, 0, 0, *[2.0] * 6)}, "start", "motor speeds"),
     ],
 )
-def test_wrong_requests_are_refused_by_name(wrong, field, words):
+def test_invalid_requests_are_rejected_by_name(wrong, field, words):
     with pytest.raises(InputError, match=words) as error:
         checked(**wrong)
     assert error.value.field == field
@@ -60,7 +60,7 @@ def test_a_craft_that_can_just_stop_is_accepted():
     checked((rail - 1.5 * room, 0, 0, speed, 0, 0))
 
 
-def test_the_shorter_way_round_comes_first_and_the_other_only_if_it_may_be_faster():
+def test_the_longer_rotation_is_tried_only_if_it_may_be_faster():
     near, far = checked(goal=(0.5, 0, 0.5)), checked(goal=(0.5, 0, 3.0))
     assert near.goal_yaws() == pytest.approx([0.5])
     assert far.goal_yaws() == pytest.approx([3.0, 3.0 - 2 * np.pi])

@@ -15,13 +15,13 @@ def asked(start, goal, via=(), discs=(), **limits):
     return checked_request(M3, start, goal, via, Table(), discs, Limits(**limits))
 
 
-def test_the_starts_of_a_free_yaw_cover_the_circle():
+def test_initial_guesses_for_a_free_yaw_cover_the_circle():
     yaws = [yaw for _, _, yaw in starts(asked((0, 0, 0.4), Goal(0.3, 0, yaw=None)), COARSE)]
     around = np.sort(np.mod(yaws, 2 * np.pi))
     assert np.diff(np.append(around, around[0] + 2 * np.pi)).max() < 0.95
 
 
-def test_the_first_start_turns_evenly_and_the_next_two_aside():
+def test_the_first_guess_turns_evenly_and_the_next_two_left_and_right():
     straight, left, right = list(starts(asked((0, 0, 0), (0.3, 0, 1.0)), COARSE))
     yaw = straight[1].states[:, 2]
     assert (np.diff(yaw) > 0).all()
@@ -31,7 +31,7 @@ def test_the_first_start_turns_evenly_and_the_next_two_aside():
         np.testing.assert_allclose(aside[[0, -1]], 0, atol=1e-12)
 
 
-def test_detours_pass_close_by_their_discs_on_both_sides():
+def test_detours_pass_close_to_their_discs_on_both_sides():
     discs = ((0.15, 0.03, 0.05), (-0.2, 0, 0.05), (0, 0.45, 0.05))
     request = asked((-0.5, 0, 0), (0.5, 0, 0), discs=discs)
     paths = {name: path.states for name, path, _ in starts(request, 100)}
@@ -46,7 +46,7 @@ def test_detours_pass_close_by_their_discs_on_both_sides():
 
 
 @pytest.mark.parametrize(("spin", "speed"), [(2.0, 3.0), (15.0, 0.3)])
-def test_starts_are_slow_enough_for_the_limits(spin, speed):
+def test_initial_guesses_respect_the_limits(spin, speed):
     request = asked((-0.4, 0, 0), (0.4, 0, 1.5), spin=spin, speed=speed)
     for _, path, _ in [*starts(request, 40), *further_starts(request, 40)]:
         assert np.abs(path.states[:, 3]).max() < 1.02 * speed
@@ -54,14 +54,14 @@ def test_starts_are_slow_enough_for_the_limits(spin, speed):
         assert path.durations.sum() < 6.0 * max(0.8 / speed, 3.0 / spin)
 
 
-def test_time_to_turn_round_is_that_of_two_stops():
+def test_time_to_turn_round_equals_two_stops():
     request = asked((0, 0, 0, 0.3, 0, 0), (0.1, 0, 0, 0, -0.6, 0))
     straight = next(iter(starts(request, COARSE)))[1].durations.sum()
     patient = next(iter(further_starts(request, COARSE)))[1].durations.sum()
     assert patient - straight == pytest.approx(2 * (0.3 + 0.6) / request.strongest_push)
 
 
-def test_a_guess_reaches_each_way_point_at_the_end_of_a_leg():
+def test_a_guess_reaches_each_waypoint_at_the_end_of_a_leg():
     for via in ([(0.2, 0.3)], [(0.2, 0.3), (0.0, 0.3), (-0.3, -0.1)]):
         request = asked((0, 0, 0), (0.4, 0, 0), via)
         path = guess(request, 8, 0.0, 0.0, request.via)

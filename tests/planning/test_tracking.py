@@ -32,7 +32,7 @@ def planned():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["lqr", "mpc"])
-def test_the_craft_goes_to_the_start_rests_there_and_is_at_the_goal_in_time(planned, kind):
+def test_the_craft_rests_at_the_start_and_reaches_the_goal_on_time(planned, kind):
     tuning = default_tuning().with_law(kind)
     pilot = Departing(plan_tracker(planned, tuning), planned)
     check_pilot(pilot)
@@ -59,7 +59,7 @@ def departure(planned, aside, pause=0.0):
     return pilot.reference.begin
 
 
-def test_a_craft_departs_after_a_second_of_rest_without_a_gap_and_not_turned_aside(planned):
+def test_a_craft_departs_after_a_second_of_rest_without_a_gap(planned):
     for pause, begins in ((0.0, 1.0), (0.3, 1.9)):
         assert begins - 0.02 < departure(planned, np.zeros((250, 3)), pause) < begins + 0.15
     assert departure(planned, np.tile([0.0, 0.0, 0.2], (130, 1))) == np.inf
@@ -77,7 +77,7 @@ def test_a_plan_that_ends_in_motion_does_not_end_at_rest(axis, rate):
     assert rests(plan) == (rate == 0.5)
 
 
-def test_corrections_are_the_bounded_least_squares_of_scipy():
+def test_corrections_match_bounded_least_squares_of_scipy():
     rng = np.random.default_rng(1)
     for m in (6, 60, 300):
         a, missed = rng.normal(0, 2, (6, m)), rng.normal(0, 30, 6)
@@ -95,7 +95,7 @@ def test_corrections_are_the_bounded_least_squares_of_scipy():
 
 
 @pytest.mark.slow
-def test_a_craft_beside_its_plan_is_at_the_goal_in_time(planned):
+def test_a_craft_off_its_plan_still_reaches_the_goal_on_time(planned):
     """Late packets, and an initial error of 8 mm and 0.03 rad."""
     tuning, table = default_tuning(), Table()
     flight = planned.starting(0.1)
@@ -118,7 +118,7 @@ def command_at(plan, time, aside=(0.0,) * 6, delay=0.02):
     return PlanTracker(M3, default_tuning()).step(None, moment)[0].command
 
 
-def test_a_plan_is_flown_from_the_moment_it_begins(planned):
+def test_the_commands_of_a_plan_are_sent_from_its_first_moment(planned):
     flight = planned.starting(0.5)
     # The LQR would idle the first motor.
     first = command_at(flight, 0.5, delay=0.0)[0]
@@ -127,7 +127,7 @@ def test_a_plan_is_flown_from_the_moment_it_begins(planned):
 
 
 @pytest.mark.parametrize("spin", [20.0, -20.0])
-def test_motors_that_a_plan_stops_within_a_period_can_still_run_fully(spin):
+def test_corrections_can_use_full_thrust_where_a_plan_stops_the_motors(spin):
     commands = np.repeat([1.0, M3.vehicle.command_min], (10, 30))[:, None] * np.ones(6)
     start = np.append(np.zeros(6), np.ones(6))
     states = np.vstack([start, M3.simulate(start, commands, 0.01)])

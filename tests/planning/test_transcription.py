@@ -7,7 +7,7 @@ import airpuck
 from airpuck.planning.transcription import Path, Transcription
 
 
-def test_a_path_of_several_legs_is_resampled_leg_by_leg():
+def test_a_path_with_several_legs_is_resampled_per_leg():
     durations, states = np.array([0.4, 1.0]), np.zeros((5, 12))
     states[:, 0] = [0.0, 0.2, 0.4, 0.9, 1.4]  # as the time passes
     commands = np.repeat(np.arange(4.0)[:, None], 6, axis=1)
@@ -22,7 +22,7 @@ def test_a_path_of_several_legs_is_resampled_leg_by_leg():
     assert path.resampled(2) is path
 
 
-def test_the_solver_gets_the_derivatives_that_casadi_finds_itself():
+def test_the_solver_gets_the_same_derivatives_as_casadi_computes():
     pytest.importorskip("casadi")
     model = airpuck.read_model("paper:M3")
     solver = Transcription(model, intervals=3, legs=2, discs=1).solver

@@ -60,7 +60,7 @@ def off(stream: Stream, time: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("arrive", [polled, held_up])
 @pytest.mark.parametrize("rate", [120.0, 240.0])
 @pytest.mark.parametrize("share_lost", [0.0, 0.02])
-def test_stamps_made_on_arrival_become_times_of_exposure(arrive, rate, share_lost):
+def test_arrival_stamps_are_converted_to_exposure_times(arrive, rate, share_lost):
     time = exposures(rate, share_lost)
     raw = stamped(arrive(time), moving(time))
     found, warnings = at_exposure(raw)
@@ -72,14 +72,14 @@ def test_stamps_made_on_arrival_become_times_of_exposure(arrive, rate, share_los
 
 
 @pytest.mark.parametrize("rate", [120.0, 240.0])
-def test_the_motion_tells_which_of_two_frames_is_lost(rate):
+def test_the_motion_reveals_which_of_two_frames_is_lost(rate):
     time = exposures(rate, 0.2)
     found, _ = at_exposure(stamped(polled(time), moving(time)))
     assert np.mean(np.abs(off(found, time)) > 0.1 / rate) < 0.004
 
 
 @pytest.mark.parametrize("share_lost", [0.0, 0.05])
-def test_a_client_that_polls_about_as_often_as_the_cameras_expose_is_recognised(share_lost):
+def test_a_client_that_polls_at_about_the_camera_rate_is_recognised(share_lost):
     time = exposures(240.0, share_lost)
     arrival = np.ceil((time + 5e-4) / 0.004) * 0.004
     found, warnings = at_exposure(stamped(arrival, moving(time)))
@@ -97,7 +97,7 @@ def in_bursts(time: np.ndarray, rate: float, jitter: float = 5e-4) -> np.ndarray
 
 @pytest.mark.parametrize("polls", [59.94, 59.5, 39.7])
 @pytest.mark.parametrize("rate", [120.0, 240.0])
-def test_a_beat_of_the_clients_rate_with_the_cameras_is_no_lost_frame(rate, polls):
+def test_beating_between_client_and_camera_rate_is_not_a_lost_frame(rate, polls):
     time = exposures(rate)
     found, warnings = at_exposure(stamped(in_bursts(time, polls), moving(time)))
     assert rate_found(warnings[0]) == pytest.approx(rate, rel=2e-4)
@@ -105,14 +105,14 @@ def test_a_beat_of_the_clients_rate_with_the_cameras_is_no_lost_frame(rate, poll
 
 
 @pytest.mark.parametrize(("rate", "polls"), [(120.0, 59.5), (240.0, 119.3)])
-def test_twice_the_clients_rate_is_not_the_cameras_although_frames_are_lost(rate, polls):
+def test_twice_the_client_rate_is_not_taken_for_the_camera_rate(rate, polls):
     time = exposures(rate, 0.01, seconds=3.0)
     found, warnings = at_exposure(stamped(in_bursts(time, polls), moving(time)))
     assert rate_found(warnings[0]) == pytest.approx(rate, rel=1e-3)
     assert np.abs(off(found, time)).max() < 1e-3
 
 
-def test_a_jerk_moves_no_pose_while_no_frame_is_lost():
+def test_a_jerk_moves_no_pose_if_no_frame_is_lost():
     time = exposures(120.0)
     values = moving(time)
     values[-1] = moving(time + 1 / 120)[-1]
@@ -121,7 +121,7 @@ def test_a_jerk_moves_no_pose_while_no_frame_is_lost():
 
 
 @pytest.mark.parametrize("stated", [None, 240.0])
-def test_bursts_of_six_poses_with_lost_frames_are_placed(stated):
+def test_bursts_of_six_poses_with_lost_frames_are_timed_correctly(stated):
     time = exposures(240.0, 0.03)
     looks = np.cumsum(np.random.default_rng(9).uniform(0.015, 0.035, 2000))
     arrival = looks[np.searchsorted(looks, time + 2e-3)]
@@ -131,7 +131,7 @@ def test_bursts_of_six_poses_with_lost_frames_are_placed(stated):
 
 
 @pytest.mark.parametrize("back", [1, 50])
-def test_a_few_stamps_that_go_back_do_not_hide_that_stamps_are_arrivals(back):
+def test_a_few_backward_stamps_do_not_hide_that_stamps_are_arrivals(back):
     time = exposures(120.0)
     arrival = polled(time) + 3e-5 * np.arange(len(time)) / len(time)
     arrival[100 :: len(time) // back] -= 0.03
@@ -141,13 +141,13 @@ def test_a_few_stamps_that_go_back_do_not_hide_that_stamps_are_arrivals(back):
     assert np.abs(off(found, time)).max() < 1e-3
 
 
-def test_frames_of_a_craft_at_rest_are_counted_by_their_arrivals():
+def test_frames_of_a_resting_craft_are_counted_by_their_arrivals():
     time = exposures(120.0, 0.02)
     found, _ = at_exposure(stamped(held_up(time)))
     assert np.mean(np.abs(off(found, time)) > 1e-3) < 0.03
 
 
-def test_a_stated_rate_is_used_where_many_frames_are_lost():
+def test_a_stated_rate_is_used_if_many_frames_are_lost():
     time = exposures(120.0, 0.1)
     found, _ = at_exposure(stamped(held_up(time), rate_hz=120.0))
     assert np.mean(np.abs(off(found, time)) > 3e-4) < 0.05
@@ -165,26 +165,26 @@ def test_a_stated_rate_is_used_where_many_frames_are_lost():
         exposures(120.0) + np.random.default_rng(0).uniform(-1e-3, 1e-3, 2400),
     ],
 )
-def test_the_cameras_own_stamps_are_left_alone(stamps):
+def test_camera_stamps_are_unchanged(stamps):
     stamps = np.sort(stamps)
     for stream in (stamped(stamps), stamped(stamps, moving(stamps))):
         assert at_exposure(stream) == (stream, ())
 
 
-def test_stamps_that_are_stated_to_be_exact_are_left_alone():
+def test_stamps_stated_to_be_exact_are_unchanged():
     stream = stamped(polled(exposures(120.0)), exact=True)
     assert at_exposure(stream) == (stream, ())
 
 
 @pytest.mark.parametrize(("count", "stated"), [(150, {}), (2400, {"exact": True})])
-def test_repeats_stay_in_short_recordings_and_between_exact_stamps(count, stated):
+def test_repeats_are_kept_in_short_recordings_and_with_exact_stamps(count, stated):
     time = exposures(120.0)[:count]
     held = np.arange(count) // 2 * 2
     stream = stamped(time, moving(time)[held], **stated)
     assert at_exposure(stream) == (stream, ())
 
 
-def test_poses_may_share_a_stamp_while_a_few_of_them_repeat():
+def test_poses_may_share_a_stamp_if_a_few_of_them_repeat():
     time = exposures(240.0)
     values = moving(time)
     values[50::100] = values[49::100]
@@ -196,7 +196,7 @@ def test_poses_may_share_a_stamp_while_a_few_of_them_repeat():
 
 
 @pytest.mark.parametrize("repeats", [1, 2])
-def test_exposures_do_not_depend_on_the_clocks_epoch(repeats):
+def test_exposure_times_do_not_depend_on_the_clocks_epoch(repeats):
     time = exposures(120.0, 0.02, seconds=3.0)
     held = np.repeat(np.arange(len(time)), repeats)
     early = stamped(
@@ -209,7 +209,7 @@ def test_exposures_do_not_depend_on_the_clocks_epoch(repeats):
     np.testing.assert_allclose(found.stamp_ns - later, expected.stamp_ns, atol=1)
 
 
-def test_arrivals_that_reveal_no_rate_are_said_to():
+def test_arrivals_without_a_recognisable_rate_cause_a_warning():
     arrival = np.cumsum(np.random.default_rng(1).pareto(1.1, 3000) * 1e-3)
     stream = stamped(arrival)
     found, warnings = at_exposure(stream)
@@ -231,14 +231,14 @@ def check_repeats(time: np.ndarray, values: np.ndarray, faster: float, rate: flo
 
 
 @pytest.mark.parametrize("faster", [1.25, 2.0, 4.0])
-def test_the_first_of_poses_that_a_logger_repeats_is_kept(faster):
+def test_the_first_of_repeated_poses_is_kept(faster):
     time = exposures(240.0)
     values = np.cumsum(np.random.default_rng(2).normal(size=(len(time), 3)), axis=0)
     assert "repeat the one before" in check_repeats(time, values, faster, 240.0)[0]
 
 
 @pytest.mark.parametrize("faster", [1.25, 2.0, 4.0])
-def test_a_burst_of_lost_frames_that_a_logger_fills_with_repeats_is_lost(faster):
+def test_lost_frames_filled_with_repeats_are_recognised_as_lost(faster):
     time = exposures(120.0)
     bursts = [(3.04, 3.1), (7.2, 7.3), (11.0, 11.03)]
     seen = np.all([(time < first) | (time > last) for first, last in bursts], axis=0)
@@ -247,7 +247,7 @@ def test_a_burst_of_lost_frames_that_a_logger_fills_with_repeats_is_lost(faster)
 
 
 @pytest.mark.parametrize("faster", [1.25, 2.00003])  # the second's steps become late
-def test_the_rate_is_found_where_a_fifth_of_the_frames_and_two_bursts_are_lost(faster):
+def test_the_rate_is_found_despite_a_fifth_of_lost_frames_and_two_bursts(faster):
     time = exposures(120.0, 0.2, 16.0)
     time = time[((time < 3.0) | (time > 3.1)) & ((time < 7.2) | (time > 7.3))]
     logged = np.arange(1e-4, time[-1], 1 / (faster * 120.0))
@@ -266,7 +266,7 @@ def test_a_frozen_pose_keeps_its_repeats():
     assert at_exposure(stream) == (stream, ())
 
 
-def test_a_mapping_states_rate_or_stamps():
+def test_a_mapping_may_state_either_rate_or_exact_stamps():
     time = exposures(120.0, seconds=2.0)
     poses, commands = np.zeros((240, 3)), np.zeros((240, 6))
     for stated, field in (({"rate_hz": 120.0}, "rate_hz"), ({"stamps": "exact"}, "exact")):

@@ -43,7 +43,7 @@ def drifts(pose: Stream, command: Stream) -> dict[str, float]:
     return {match[1]: float(match[2]) for match in found if match}
 
 
-def test_clocks_that_agree_are_used_as_they_are():
+def test_agreeing_clocks_are_used_unchanged():
     aligned = align_clocks(stream(2400, 240.0, offset=0.05), COMMANDS)
     np.testing.assert_allclose(aligned.pose_time, 0.05 + np.arange(2400) / 240, atol=1e-6)
     np.testing.assert_allclose(aligned.command_time, np.arange(1000) / 100, atol=1e-6)
@@ -51,7 +51,7 @@ def test_clocks_that_agree_are_used_as_they_are():
     assert aligned.warnings == ()
 
 
-def test_a_clock_that_is_corrected_in_flight_is_named_and_left_alone():
+def test_a_clock_corrected_in_flight_is_named_and_unchanged():
     # It gains 30 ms between 3 and 5 s, as a time server would have it.
     time = np.arange(2400) / 240
     gained = 0.03 * np.clip((time - 3.0) / 2.0, 0.0, 1.0)
@@ -64,7 +64,7 @@ def test_a_clock_that_is_corrected_in_flight_is_named_and_left_alone():
 
 @pytest.mark.parametrize("name", ["pose", "command"])
 @pytest.mark.parametrize("drift", [-1e-3, 1e-3])
-def test_a_clock_that_drifts_is_named_and_measured(name, drift):
+def test_a_drifting_clock_is_named_and_measured(name, drift):
     # The lowest offsets of the first and of the last quarter lie three quarters of 10 s apart, as
     # received minus sent: the faster the sender's clock, the less. Of each the 1 % quantile counts.
     drifting = {
@@ -78,7 +78,7 @@ def test_a_clock_that_drifts_is_named_and_measured(name, drift):
 
 
 @pytest.mark.parametrize(("drift", "warns"), [(6e-4, False), (7e-4, True), (-7e-4, True)])
-def test_a_drift_counts_from_five_milliseconds_on(drift, warns):
+def test_a_drift_is_reported_from_five_milliseconds(drift, warns):
     assert bool(drifts(stream(2400, 240.0, drift=drift), COMMANDS)) == warns
 
 
@@ -90,7 +90,7 @@ def test_both_clocks_may_drift():
     }
 
 
-def test_latencies_that_vary_are_no_drift():
+def test_varying_latency_is_not_drift():
     # Even if the recorder becomes busier, the shortest latencies stay the same.
     growing = stream(2400, 240.0, jitter=5e-3)
     late = growing.received_ns + (np.arange(2400) % 7 > 0) * np.arange(2400) * 20_000
@@ -99,20 +99,20 @@ def test_latencies_that_vary_are_no_drift():
 
 
 @pytest.mark.parametrize("first", [100, 2200])
-def test_a_few_wrong_stamps_are_no_drift_and_no_other_clock(first):
+def test_a_few_wrong_stamps_indicate_neither_drift_nor_another_clock(first):
     stamp = POSES.stamp_ns.copy()
     stamp[first : first + 5] += 3_000_000_000
     wrong = Stream(stamp, POSES.received_ns, POSES.values, POSES.columns)
     assert align_clocks(wrong, COMMANDS).warnings == ()
 
 
-def test_too_few_messages_tell_no_drift():
+def test_too_few_messages_reveal_no_drift():
     assert drifts(stream(399, 40.0, drift=2e-3), COMMANDS) == {}
     assert drifts(stream(400, 40.0, drift=2e-3), COMMANDS).keys() == {"pose"}
 
 
 @pytest.mark.parametrize("offset", [-86400.0, -0.12, 0.12, 7.3])
-def test_commands_of_another_clock_are_moved_to_the_poses(offset):
+def test_commands_from_another_clock_are_shifted_to_the_poses(offset):
     aligned = align_clocks(POSES, stream(1000, 100.0, latency=1e-3, offset=offset))
     np.testing.assert_allclose(aligned.command_time, np.arange(1000) / 100, atol=2e-6)
     np.testing.assert_allclose(aligned.pose_time, np.arange(2400) / 240, atol=2e-6)
@@ -131,7 +131,7 @@ def test_commands_of_another_clock_are_moved_to_the_poses(offset):
         (-7.3, -7.3, -7.3),
     ],
 )
-def test_the_recorders_clock_is_known_on_the_axis(pose, command, ahead):
+def test_the_recorders_clock_is_converted_to_the_time_axis(pose, command, ahead):
     # A message that the recorder got at 2 s: on the axis, the poses' clock, `ahead` later.
     poses = stream(2400, 240.0, offset=pose)
     aligned = align_clocks(poses, stream(1000, 100.0, offset=command))
@@ -140,7 +140,7 @@ def test_the_recorders_clock_is_known_on_the_axis(pose, command, ahead):
     assert found == pytest.approx(on_axis, abs=1.1e-3)
 
 
-def test_seconds_are_those_of_ros():
+def test_stamps_convert_to_seconds_like_in_ros():
     stamp = np.array([1_700_000_000_123_456_789, 5, -1], dtype=np.int64)
     expected = [1_700_000_000 + 123_456_789 * 1e-9, 5e-9, -1e-9]
     np.testing.assert_allclose(seconds(stamp), expected, rtol=0, atol=1e-16)
@@ -155,7 +155,7 @@ def stepped(made: Stream, after: float, step: float) -> Stream:
 @pytest.mark.parametrize("step", [-0.05, -0.02, 0.02, 0.05])
 @pytest.mark.parametrize("latency", [1e-4, 1.5e-3])
 @pytest.mark.parametrize("name", ["pose", "command"])
-def test_a_step_of_a_clock_is_measured_and_removed(name, step, latency):
+def test_a_clock_step_is_measured_and_removed(name, step, latency):
     streams = {
         "pose": stream(2400, 240.0, jitter=latency),
         "command": stream(1000, 100.0, latency=1e-4, jitter=1e-4),
@@ -174,7 +174,7 @@ def test_a_step_of_a_clock_is_measured_and_removed(name, step, latency):
         np.testing.assert_allclose(found - found[0], true - true[0], atol=4e-4)
 
 
-def test_the_part_with_the_usual_latency_is_right():
+def test_the_segment_with_the_usual_latency_is_the_reference():
     # The cameras' clock is 50 ms late until it is synchronised.
     early = stepped(stream(2400, 240.0, offset=0.05), 6.0, -0.05)
     aligned = align_clocks(early, COMMANDS)
@@ -182,7 +182,7 @@ def test_the_part_with_the_usual_latency_is_right():
 
 
 @pytest.mark.parametrize("held", [0.03, 0.3])
-def test_a_busy_recorder_is_no_step_of_a_clock(held):
+def test_a_busy_recorder_is_not_a_clock_step(held):
     pose = stream(2400, 240.0, jitter=5e-4)
     # The recorder stores nothing for a while, and then all at once.
     received = pose.received_ns.copy()
@@ -196,7 +196,7 @@ def test_a_busy_recorder_is_no_step_of_a_clock(held):
 
 @pytest.mark.parametrize("step", [-0.03, 0.05])
 @pytest.mark.parametrize("shared", [False, True])
-def test_a_step_of_the_recorders_clock_is_named_and_moves_only_its_own_stamps(step, shared):
+def test_a_step_of_the_recorders_clock_moves_only_its_own_stamps(step, shared):
     moved = [
         np.rint(1e9 * step * (np.arange(count) > count // 2)).astype(np.int64)
         for count in (2400, 1000)
@@ -216,7 +216,7 @@ def test_a_step_of_the_recorders_clock_is_named_and_moves_only_its_own_stamps(st
 
 @pytest.mark.parametrize("latency", [4e-3, 12e-3])
 @pytest.mark.parametrize("seed", range(5))
-def test_latencies_of_a_busy_network_are_no_steps(latency, seed):
+def test_network_latency_is_not_a_clock_step(latency, seed):
     time = np.arange(9600) / 240
     late = 1e-3 + np.random.default_rng(seed).exponential(latency, 9600)
     received = EPOCH + np.rint(1e9 * np.maximum.accumulate(time + late)).astype(np.int64)
@@ -234,7 +234,7 @@ def test_latencies_of_a_busy_network_are_no_steps(latency, seed):
     [(2**32 * 10**3, "4294.97 s"), (86_400 * 10**9, "86400 s"), (2**32, "4.29497 s")],
 )
 @pytest.mark.parametrize("logged", [False, True])
-def test_a_clock_that_begins_again_is_continued(turn, says, logged):
+def test_a_restarted_clock_is_continued(turn, says, logged):
     made = stream(1000, 100.0)
     stamps = (made.stamp_ns - made.stamp_ns[0] + turn - 3_000_000_000) % turn
     stamps[[450, 451]] = stamps[[451, 450]]  # other disorder stays as it is
@@ -249,7 +249,7 @@ def test_a_clock_that_begins_again_is_continued(turn, says, logged):
     assert says in warnings[0]
 
 
-def test_a_late_message_from_before_a_clock_began_again_is_placed_there():
+def test_a_late_message_from_before_a_clock_restart_is_placed_before_it():
     made = stream(1000, 100.0)
     stamps = (made.stamp_ns - made.stamp_ns[0] - 3_000_000_000) % (86_400 * 10**9)
     stamps[[299, 300]] = stamps[[300, 299]]
@@ -259,7 +259,7 @@ def test_a_late_message_from_before_a_clock_began_again_is_placed_there():
     np.testing.assert_array_equal(found.stamp_ns - found.stamp_ns[0], expected)
 
 
-def test_a_pause_is_no_clock_that_begins_again():
+def test_a_pause_is_not_a_clock_restart():
     made = stream(1000, 100.0)
     paused = replace(made, stamp_ns=made.stamp_ns + 4_294_967_296 * (np.arange(1000) > 500))
     assert continued(paused, "pose") == (paused, ())

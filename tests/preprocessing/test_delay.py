@@ -37,17 +37,17 @@ def shifted(samples, kept=slice(None)):
 
 
 @pytest.mark.parametrize("samples", [0, 1, 4, 5, 12, 48])
-def test_finds_whole_samples(samples):
+def test_a_delay_of_whole_samples_is_found(samples):
     found, correlation = estimate_delay(shifted(samples), NOMINAL)
     assert found == samples
     assert correlation > 0.9
 
 
-def test_motion_before_its_commands_is_negative():
+def test_motion_before_its_commands_gives_a_negative_delay():
     assert estimate_delay(shifted(-7), NOMINAL)[0] == -7
 
 
-def test_unusable_samples_do_not_count():
+def test_unusable_samples_are_ignored():
     flight = shifted(4)
     flight.acceleration[300:500] = 1e6
     span = Span(flight.time[300], flight.time[499], "wrong")
@@ -69,11 +69,11 @@ def test_only_commands_of_the_flight_explain_its_motion(samples):
     assert motion_precedes(flight, NOMINAL) == (samples < 0)
 
 
-def test_flights_shorter_than_the_longest_delay():
+def test_the_delay_of_a_short_flight_is_estimated():
     assert abs(estimate_delay(shifted(4, slice(300, 400)), NOMINAL)[0] - 4) <= 1
 
 
-def test_the_correlation_is_that_of_paired_accelerations():
+def test_the_correlation_matches_paired_accelerations():
     flight = shifted(4)
     _, found = estimate_delay(flight, NOMINAL)
     speed = motor_speeds(flight.time, flight.command, NOMINAL.motor_time_constant)[:-4]

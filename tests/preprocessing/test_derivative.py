@@ -20,7 +20,7 @@ from airpuck.preprocessing.derivative import (
 
 
 @given(st.lists(st.floats(-3.0, 3.0), min_size=1, max_size=50), st.floats(-20, 20))
-def test_unwrapping_restores_what_was_wrapped(steps, start):
+def test_unwrapping_restores_a_wrapped_angle(steps, start):
     yaw = start + np.cumsum(steps)
     wrapped = (yaw + np.pi) % (2 * np.pi) - np.pi
     restored = unwrap_yaw(wrapped)
@@ -31,7 +31,7 @@ def test_unwrapping_restores_what_was_wrapped(steps, start):
 
 @pytest.mark.parametrize("wanted", [11, 15, 25])
 @pytest.mark.parametrize("count", [11, 12, 13, 14, 15, 200])
-def test_smoothing_is_that_of_scipy_with_the_longest_odd_window_that_fits(count, wanted):
+def test_smoothing_matches_scipy_with_the_longest_odd_window_that_fits(count, wanted):
     window = min(wanted, count - 1 + count % 2)
     values = np.cumsum(np.random.default_rng(0).normal(size=(count, 3)), axis=0)
     expected = savgol_filter(values, window, 3, axis=0)
@@ -41,7 +41,7 @@ def test_smoothing_is_that_of_scipy_with_the_longest_odd_window_that_fits(count,
 
 @pytest.mark.parametrize(("count", "window"), [(12, 11), (13, 13), (200, 25)])
 @pytest.mark.parametrize(("order", "derive"), [(1, velocity), (2, acceleration)])
-def test_longer_smoothing_gives_the_derivatives_of_scipys_filter(order, derive, count, window):
+def test_longer_smoothing_matches_derivatives_of_scipys_filter(order, derive, count, window):
     values = np.cumsum(np.random.default_rng(0).normal(size=(count, 3)), axis=0)
     velocities = 25 / 240 * (1 if order == 1 else VELOCITY_TIME / ACCELERATION_TIME)
     found = derive(times(count, 0.0), values, duration=velocities)
@@ -53,7 +53,7 @@ def test_longer_smoothing_gives_the_derivatives_of_scipys_filter(order, derive, 
     ("rate", "windows"),
     [(50, (3, 3)), (100, (5, 7)), (120, (5, 7)), (240, (11, 15)), (360, (17, 23))],
 )
-def test_windows_are_the_same_time_at_every_rate(rate, windows):
+def test_windows_last_equally_long_at_every_rate(rate, windows):
     found = [window_length(time, 1 / rate) for time in (VELOCITY_TIME, ACCELERATION_TIME)]
     assert tuple(found) == windows
     assert shortest_stretch(1 / rate) == max(windows[1], 5)
@@ -64,14 +64,14 @@ def thinned_times(duration, rate=100):
     return np.rint(np.arange(0, duration, 1 / rate) * 240) / 240
 
 
-def test_cubics_in_time_pass_through_smoothing_at_alternating_steps():
+def test_cubics_are_unchanged_by_smoothing_at_alternating_steps():
     time = thinned_times(0.5)
     assert len(np.unique(np.diff(time).round(9))) == 2
     cubic = np.stack([time**3 - 2 * time**2, 5 * time], axis=1)
     np.testing.assert_allclose(smooth(time, cubic, duration=15 / 240), cubic, atol=1e-12)
 
 
-def test_alternating_steps_leave_velocity_and_acceleration_as_they_are():
+def test_alternating_steps_do_not_change_velocity_and_acceleration():
     # The craft turns within a second at 1 m/s: steps that alternate would move each pose by 2 mm.
     time = thinned_times(3.0)
     path = 0.25 * np.stack([np.cos(4 * time), np.sin(4 * time)], axis=1)
@@ -94,7 +94,7 @@ def times(count, jitter):
 
 
 @pytest.mark.parametrize("jitter", [0.0, 0.05])
-def test_exact_for_parabolas_of_the_sample_index(jitter):
+def test_derivatives_of_parabolas_are_exact(jitter):
     # Smoothing is over sample numbers: exact for cubics of them, so parabolas pass unchanged.
     time = times(60, 0.0)
     values = np.stack([3 + 2 * time, 1 - time + 4 * time**2], axis=1)
@@ -103,7 +103,7 @@ def test_exact_for_parabolas_of_the_sample_index(jitter):
     np.testing.assert_allclose(acceleration(time, values), [[0, 8]] * 60, atol=1e-6)
 
 
-def test_second_order_in_the_sample_period():
+def test_derivatives_converge_at_second_order():
     errors = []
     for rate in (60, 120, 240):
         time = np.arange(rate) / rate
@@ -123,7 +123,7 @@ def test_uneven_stamps_are_respected():
     assert np.abs(rate - 2).max() < 0.05
 
 
-def test_one_longer_step_changes_the_smoothing_around_it_alone():
+def test_one_longer_step_affects_only_its_neighbourhood():
     even = np.arange(200) / 240
     late = even + np.where(np.arange(200) < 100, 0.0, 0.5 / 240)
     cubic = (late**3 - 2 * late**2)[:, None]
@@ -134,7 +134,7 @@ def test_one_longer_step_changes_the_smoothing_around_it_alone():
     np.testing.assert_array_equal(changed, np.arange(95, 105))
 
 
-def test_stamps_that_jitter_cost_little_accuracy():
+def test_stamp_jitter_costs_little_accuracy():
     """Jitter of 3 % of the period; one step in fifty is off by more than 10 %."""
     rng = np.random.default_rng(0)
     even = np.arange(2400) / 240

@@ -25,7 +25,7 @@ SPANS = (
 )
 
 
-def test_causes_are_counted_and_the_longest_is_named():
+def test_exclusions_are_counted_by_cause_and_the_longest_is_named():
     # Of 10 s, 0.1 s for the first gap, 0.01 s for the second, 0.14 s for the jumps, and 0.2 s.
     assert left_out_words(replace(FLIGHT, excluded=SPANS)) == (
         "left out: 4.5 % (2 gaps, 14 jumps, motor stalled; longest 0.20 s at 8.0 s)"
@@ -33,18 +33,18 @@ def test_causes_are_counted_and_the_longest_is_named():
     assert left_out_words(FLIGHT) == "left out: nothing"
 
 
-def test_spans_outside_a_part_do_not_count():
+def test_spans_outside_a_slice_do_not_count():
     part = replace(FLIGHT, excluded=SPANS).slice(0.0, 0.25)
     assert left_out_words(part) == "left out: 4.0 % (1 gap; longest 0.10 s at 1.0 s)"
 
 
-def test_the_json_has_every_span():
+def test_the_json_lists_every_span():
     figures = left_out_json(replace(FLIGHT, excluded=SPANS))
     assert len(figures["excluded"]) == len(SPANS)
     assert figures["usable"] == pytest.approx(0.955)
 
 
-def test_a_gap_counts_by_its_duration_not_by_its_poses():
+def test_a_gap_counts_by_duration_not_by_poses():
     time = FLIGHT.time[(FLIGHT.time < 1.0) | (FLIGHT.time > 6.0)]
     kept = {
         "time": time,

@@ -36,7 +36,7 @@ def random_losses(count: int, share: float, seed: int = 0) -> np.ndarray:
     return np.random.default_rng(seed).random(count) > share
 
 
-def test_a_sample_stands_for_each_lost_frame_and_none_for_a_long_pause():
+def test_lost_frames_get_samples_but_long_pauses_do_not():
     whole = np.arange(400) / 240
     lost = [50, 100, 101, *range(200, 220), *range(300, 340)]
     time, _, measured = with_lost_frames(np.delete(whole, lost), np.zeros((400 - len(lost), 1)))
@@ -44,7 +44,7 @@ def test_a_sample_stands_for_each_lost_frame_and_none_for_a_long_pause():
     assert np.flatnonzero(~measured).tolist() == lost[:23]
 
 
-def test_jitter_and_alternating_steps_are_no_lost_frames():
+def test_jitter_and_alternating_steps_are_not_lost_frames():
     rng = np.random.default_rng(0)
     jittered = (np.arange(1000) + rng.uniform(-0.2, 0.2, 1000)) / 240
     thinned = np.rint(np.arange(0, 5, 0.01) * 240) / 240
@@ -64,7 +64,7 @@ def test_interpolation_is_exact_for_cubics_and_their_rates():
 
 
 @pytest.mark.parametrize("share", [0.02, 0.05, 0.12, 0.2])
-def test_velocities_survive_the_loss_of_single_frames(share):
+def test_velocities_are_accurate_despite_single_lost_frames(share):
     recording = record(duration=6.0, noise=5e-5)
     whole = preprocess(recording)
     kept = random_losses(len(recording["pose"]), share)
@@ -97,7 +97,7 @@ def spoilt(trajectory: Trajectory) -> Trajectory:
     return replace(trajectory, state=state)
 
 
-def test_bursts_of_lost_frames_exclude_nothing_but_starts(burst):
+def test_bursts_of_lost_frames_exclude_only_window_starts(burst):
     assert not burst.excluded
     assert (~burst.measured).sum() == 32
     # Beside a burst, velocities are smoothed on one side only.
@@ -110,7 +110,7 @@ def test_bursts_of_lost_frames_exclude_nothing_but_starts(burst):
     assert burst.measured[judged.present + 48].all()
 
 
-def test_a_lost_pose_counts_in_no_fit(burst):
+def test_a_lost_pose_is_ignored_by_a_fit(burst):
     loss = Loss()
     first, second = (
         prediction_loss(loss, [one], default_vehicle()) for one in (burst, spoilt(burst))
@@ -132,7 +132,7 @@ def test_a_lost_pose_counts_in_no_fit(burst):
     )
 
 
-def test_a_lost_pose_counts_in_no_evaluation(burst):
+def test_a_lost_pose_is_ignored_by_an_evaluation(burst):
     found, other = evaluate(MODEL, burst), evaluate(MODEL, spoilt(burst))
     np.testing.assert_array_equal(found.rmse, other.rmse)
     np.testing.assert_array_equal(found.every_start.rmse, other.every_start.rmse)
@@ -142,7 +142,7 @@ def test_a_lost_pose_counts_in_no_evaluation(burst):
     assert better_from(found, burst) == better_from(other, spoilt(burst))
 
 
-def test_a_lost_pose_changes_no_innovation(burst):
+def test_a_lost_pose_does_not_change_the_innovations(burst):
     found, other = innovations(MODEL, burst), innovations(MODEL, spoilt(burst))
     assert not found.used[~burst.measured].any()
     # One pause costs no more innovations than the poses that are missing.
@@ -154,7 +154,7 @@ def test_a_lost_pose_changes_no_innovation(burst):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("share", [0.05, 0.2])
-def test_a_fit_without_a_part_of_the_poses_learns_the_same(share):
+def test_a_fit_without_some_of_the_poses_gives_the_same_result(share):
     recording = record(duration=20.0, noise=5e-5)
     kept = random_losses(len(recording["pose"]), share)
     kept[1000:1020] = kept[2500:2524] = False

@@ -35,7 +35,7 @@ def recording() -> Recording:
     return record(duration=6.0, noise=1e-5)
 
 
-def test_recovers_a_synthetic_flight(recording):
+def test_a_synthetic_flight_is_recovered(recording):
     trajectory = preprocess(recording)
     assert trajectory.delay == pytest.approx(5 / RATE, rel=1e-3)
     assert not trajectory.excluded
@@ -51,7 +51,7 @@ def test_recovers_a_synthetic_flight(recording):
     assert np.abs(error[:, 5]).max() < 1.0
 
 
-def test_a_path_a_recording_and_a_trajectory_are_the_same_data(recording, tmp_path):
+def test_a_path_a_recording_and_a_trajectory_are_accepted_alike(recording, tmp_path):
     write_bag(recording, tmp_path / "bag")
     trajectory = preprocess(recording)
     for found in load_all([tmp_path / "bag", str(tmp_path / "bag"), recording, trajectory]):
@@ -66,7 +66,7 @@ def test_a_path_a_recording_and_a_trajectory_are_the_same_data(recording, tmp_pa
 
 
 @pytest.mark.slow
-def test_the_whole_way_from_recording_to_parameters():
+def test_a_recording_becomes_parameters():
     trajectory = preprocess(record(duration=20.0, noise=5e-5))
     fit = identify(trajectory)
     truth = published_model("M3").parameters
@@ -77,7 +77,7 @@ def test_the_whole_way_from_recording_to_parameters():
     assert evaluate(fit.model, unseen).rmse[0] < 1e-3
 
 
-def test_a_gap_is_found_and_no_window_spans_it(recording):
+def test_a_gap_is_detected_and_no_window_spans_it(recording):
     trajectory = lacking(recording, "pose", lambda time: (time < 3.0) | (time > 3.2))
     (span,) = trajectory.excluded
     assert span.cause == "gap"
@@ -90,7 +90,7 @@ def test_a_gap_is_found_and_no_window_spans_it(recording):
     assert far < 1.5 * np.abs(truth.state[:, 3]).max()
 
 
-def test_accelerations_pass_lost_frames_in_a_straight_line(recording):
+def test_accelerations_are_interpolated_linearly_across_lost_frames(recording):
     trajectory = lacking(recording, "pose", lambda time: np.abs(time - 3.0) > 0.03)
     known, time = trajectory.bridged, trajectory.time
     assert np.ptp(time[~known]) == pytest.approx(0.06, abs=2 / RATE)
@@ -100,7 +100,7 @@ def test_accelerations_pass_lost_frames_in_a_straight_line(recording):
         assert np.abs(expected).min() > 0
 
 
-def test_poses_between_two_gaps_are_left_out_if_too_few_to_differentiate(recording):
+def test_too_few_poses_between_two_gaps_are_excluded(recording):
     trajectory = lacking(
         recording, "pose", lambda time: (np.abs(time - 3.0) > 0.2) | (np.abs(time - 3.0) < 0.02)
     )
@@ -113,7 +113,7 @@ def test_poses_between_two_gaps_are_left_out_if_too_few_to_differentiate(recordi
 
 
 @pytest.mark.parametrize("logged", [False, True])
-def test_a_clock_that_steps_is_told_by_the_motion_only_without_times_of_arrival(logged):
+def test_the_motion_reveals_a_clock_step_if_there_are_no_arrival_times(logged):
     def edit(stamp, received, values):
         stamp = stamp + 30_000_000 * (np.arange(len(stamp)) > len(stamp) // 2)
         return stamp, stamp + 1_000_000 * logged, values
@@ -124,7 +124,7 @@ def test_a_clock_that_steps_is_told_by_the_motion_only_without_times_of_arrival(
     assert ("clock step" in {span.cause for span in trajectory.excluded}) == (not logged)
 
 
-def test_duplicates_and_backward_stamps_are_dropped_and_said(recording):
+def test_duplicates_and_backward_stamps_are_dropped_and_reported(recording):
     def edit(stamp, received, values):
         stamp = stamp.copy()
         stamp[500] = stamp[499]
@@ -151,7 +151,7 @@ def test_rows_in_any_order_never_crash(recording):
         make_windows(preprocess(edited(recording, "pose", edit)))
 
 
-def test_a_frozen_pose_is_found(recording):
+def test_a_frozen_pose_is_detected(recording):
     def edit(stamp, received, values):
         values[600:630] = values[600]
         return stamp, received, values
@@ -170,7 +170,7 @@ def test_a_pause_of_the_commands_is_excluded(recording):
     assert "no commands" in {span.cause for span in trajectory.excluded}
 
 
-def test_clocks_that_differ_are_aligned(recording):
+def test_different_clocks_are_aligned(recording):
     def edit(stamp, received, values):
         return stamp - 7_300_000_000, received, values
 
@@ -181,7 +181,7 @@ def test_clocks_that_differ_are_aligned(recording):
     assert trajectory.delay == pytest.approx(straight.delay, abs=2 / RATE)
 
 
-def test_motors_in_another_order_are_matched_by_name(recording):
+def test_reordered_motors_are_matched_by_name(recording):
     other = preprocess(shuffled(recording))
     np.testing.assert_array_equal(other.command, preprocess(recording).command)
 
@@ -218,12 +218,12 @@ def test_a_given_delay_is_used(recording):
         ("pose", lambda s, r, v: (s + 10**12, r + 10**12, v), "do not overlap"),
     ],
 )
-def test_bad_input_is_one_clear_line(recording, stream, edit, message):
+def test_bad_input_ends_in_one_clear_line(recording, stream, edit, message):
     with pytest.raises(InputError, match=message):
         make_windows(preprocess(edited(recording, stream, edit)))
 
 
-def test_an_error_that_bad_stamps_may_cause_repeats_what_was_said_of_them(recording):
+def test_an_error_that_bad_stamps_may_cause_repeats_their_warning(recording):
     pose = recording["pose"]
     # A client gets six poses at once, and the mapping states a rate that is too low.
     late = pose.stamp_ns[0] + 25_000_000 * (1 + np.arange(len(pose)) // 6)
@@ -279,7 +279,7 @@ def test_any_damage_gives_a_trajectory_or_a_clear_error(recording, data):
 
 
 @pytest.mark.data
-def test_agrees_with_the_authors_preprocessing(experiments):
+def test_preprocessing_agrees_with_the_authors(experiments):
     from airpuck.recording.read import read_recording
     from airpuck.recording.torch_archive import read_authors_experiment
 

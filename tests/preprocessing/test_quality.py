@@ -32,13 +32,13 @@ def check(yaw: np.ndarray, rate: float = RATE) -> None:
 
 @pytest.mark.parametrize("rate", [20.0, 100.0, RATE, 1000.0])
 @pytest.mark.parametrize(("unit", "size"), [("ms", 1e3), ("us", 1e6), ("ns", 1e9)])
-def test_a_unit_of_time_that_is_not_the_second_is_named(rate, unit, size):
+def test_a_time_unit_other_than_seconds_is_named(rate, unit, size):
     says = rf'implausible for motion capture.*gives {1 / rate:.3g} s: in the mapping.*\["{unit}"\]'
     with rejected(match=says, field="time"):
         check(np.zeros(100), rate / size)
 
 
-def test_a_unit_of_time_that_a_mapping_has_too_small_is_told_by_its_factor():
+def test_too_small_a_time_unit_in_a_mapping_is_corrected_by_its_factor():
     with pytest.raises(InputError, match="too small by a factor of about 1e3"):
         check(np.zeros(100), RATE * 1e3)
     with pytest.raises(InputError, match="check the column or field of the time"):
@@ -52,26 +52,26 @@ def spinning(rate: float, poses: float = RATE) -> np.ndarray:
 
 @pytest.mark.parametrize("poses", [50.0, RATE])
 @pytest.mark.parametrize("sign", [-1, 1])
-def test_a_continuous_yaw_in_degrees_is_told_by_its_speed(sign, poses):
+def test_continuous_yaw_in_degrees_is_recognised_by_its_speed(sign, poses):
     # Continuous, so nothing wraps at 360. 120 °/s is a slow turn, 120 rad/s more than any craft.
     with rejected(match=r"yaw reaches 1\d{3} and looks like deg", field="pose.orientation.yaw"):
         check(sign * spinning(120.0, poses), poses)
 
 
 @pytest.mark.parametrize("poses", [50.0, RATE])
-def test_the_speed_that_no_craft_has_is_100_rad_per_second(poses):
+def test_a_hundred_radians_per_second_is_impossible(poses):
     check(spinning(99.0, poses), poses)
     with pytest.raises(InputError, match="looks like degrees"):
         check(spinning(101.0, poses), poses)
 
 
-def test_many_turns_in_radians_are_no_degrees():
+def test_many_turns_in_radians_are_not_degrees():
     check(spinning(25.0))
     check(-spinning(25.0))
     check(np.array([20.0]))  # one pose has no speed
 
 
-def test_nine_of_ten_frames_decide():
+def test_at_most_a_tenth_of_the_frames_may_be_outliers():
     # A wrapped yaw of a fast craft jumps by 2π, which is 1500 rad/s between two frames, and a yaw
     # that starts three turns up is larger than one turn: still radians.
     wrapped = (spinning(25.0) + np.pi) % (2 * np.pi) - np.pi
@@ -79,12 +79,12 @@ def test_nine_of_ten_frames_decide():
     check(wrapped + 6 * np.pi)
 
 
-def test_degrees_that_wrap_are_told_by_their_jumps():
+def test_wrapped_degrees_are_recognised_by_their_jumps():
     with pytest.raises(InputError, match="looks like degrees"):
         check((spinning(50.0) + 180) % 360 - 180)
 
 
-def test_within_one_turn_fast_noise_is_not_called_degrees():
+def test_fast_noise_within_one_turn_is_not_called_degrees():
     # 0.9 rad back and forth between frames: nonsense, but not due to another unit.
     check(0.45 * (-1.0) ** np.arange(2400))
 
@@ -97,7 +97,7 @@ def moving(seed: int = 0, rate: float = RATE) -> tuple[np.ndarray, np.ndarray]:
     return time, path + noise
 
 
-def test_poses_that_leap_are_marked_around_the_leap():
+def test_jumping_poses_are_excluded_around_the_jump():
     time, poses = moving()
     poses[1200:1300, 0] += 0.01  # there and back
     poses[2000:, 2] += 0.1  # for good
@@ -113,7 +113,7 @@ RATES = [50.0, 100.0, 120.0, RATE, 360.0]
 
 
 @pytest.mark.parametrize("rate", RATES)
-def test_leaps_are_found_at_every_rate(rate):
+def test_jumps_are_found_at_every_rate(rate):
     time, poses = moving(rate=rate)
     middle, late = len(time) // 2, round(0.8 * len(time))
     poses[middle, 1] -= 0.02
@@ -128,7 +128,7 @@ def test_leaps_are_found_at_every_rate(rate):
 
 @pytest.mark.parametrize("rate", RATES)
 @pytest.mark.parametrize("seed", range(5))
-def test_motion_noise_and_blows_are_no_jumps(seed, rate):
+def test_motion_noise_and_collisions_are_not_jumps(seed, rate):
     time, poses = moving(seed, rate)
     # A rail reverses 1.2 m/s within one frame, and changes the spin by 20 rad/s.
     after = np.clip(time - 5.001, 0, None)
@@ -138,7 +138,7 @@ def test_motion_noise_and_blows_are_no_jumps(seed, rate):
 
 
 @pytest.mark.parametrize("count", [10, 11, 12, 40_000])
-def test_neighbours_are_those_of_a_running_median(count):
+def test_jumps_agree_with_a_running_median(count):
     """Jumps at the limit, and whether SciPy's median filter finds them."""
     time = np.arange(count) / RATE
     rng = np.random.default_rng(2)
@@ -155,7 +155,7 @@ def test_neighbours_are_those_of_a_running_median(count):
     np.testing.assert_array_equal(marked, spoilt & (count >= 11))
 
 
-def test_a_thinned_stream_has_no_gaps_but_those_of_lost_poses():
+def test_a_thinned_stream_has_gaps_only_where_poses_are_lost():
     time = np.rint(np.arange(0, 10, 0.01) * RATE) / RATE
     assert find_gaps(time, 0.015) == ()
     (gap,) = find_gaps(np.delete(time, 500), 0.015)
@@ -163,7 +163,7 @@ def test_a_thinned_stream_has_no_gaps_but_those_of_lost_poses():
 
 
 @pytest.mark.parametrize(("rate", "least"), [(50.0, 3), (120.0, 3), (RATE, 5), (360.0, 8)])
-def test_poses_are_frozen_after_the_same_time(rate, least):
+def test_poses_count_as_frozen_after_the_same_time_at_any_rate(rate, least):
     time, poses = moving(rate=rate)
     poses[100 : 100 + least - 1] = poses[100]
     assert find_frozen(time, poses) == ()
@@ -172,7 +172,7 @@ def test_poses_are_frozen_after_the_same_time(rate, least):
     assert (span.start, span.stop) == (time[100], time[99 + least])
 
 
-def test_what_moves_on_over_a_gap_has_not_jumped():
+def test_motion_continuing_across_a_gap_is_not_a_jump():
     time, poses = moving()
     seen = np.delete(np.arange(len(time)), np.arange(1000, 1100))
     assert find_jumps(time[seen], poses[seen]) == ()
@@ -182,7 +182,7 @@ def test_what_moves_on_over_a_gap_has_not_jumped():
     ("unit", "step", "advice"),
     [(1e3, "10", 'command = {units = ["ms"]}'), (1e-3, "1e-05", "too small by a factor of about")],
 )
-def test_commands_in_another_unit_of_time_are_told_so(unit, step, advice):
+def test_a_wrong_time_unit_of_commands_is_reported(unit, step, advice):
     time = unit * np.arange(100) / 100.0
     stamp = np.rint(1e9 * time).astype(np.int64)
     stream = Stream(stamp, stamp, np.full((100, 2), 0.3), ("left", "right"))
@@ -193,7 +193,7 @@ def test_commands_in_another_unit_of_time_are_told_so(unit, step, advice):
     check_commands(few, np.arange(9) * 30.0)
 
 
-def test_a_clock_that_is_set_back_is_told_from_a_late_message():
+def test_a_clock_set_back_is_distinguished_from_a_late_message():
     time, none = np.arange(1000) / 100.0, np.zeros((1000, 1))
     back = np.where(np.arange(1000) < 400, time, time - 0.03)
     found = drop_disorder(back, none, "command")
@@ -205,14 +205,14 @@ def test_a_clock_that_is_set_back_is_told_from_a_late_message():
 
 
 @pytest.mark.parametrize("first", [100, 500])
-def test_a_clock_that_is_set_far_back_is_an_error(first):
+def test_a_clock_set_far_back_is_an_error(first):
     time = np.arange(1000) / 100.0
     time[first:] -= 600.0
     with pytest.raises(InputError, match=f"{1000 - first} of 1000 commands .* row {first + 1} on"):
         drop_disorder(time, np.zeros((1000, 1)), "command")
 
 
-def test_rows_that_were_written_twice_are_dropped():
+def test_duplicated_rows_are_dropped():
     time = np.tile(np.arange(1000) / 100.0, 2)
     found = drop_disorder(time, np.zeros((2000, 1)), "command")
     assert len(found.time) == 1000
@@ -221,7 +221,7 @@ def test_rows_that_were_written_twice_are_dropped():
 
 @pytest.mark.parametrize("rate", [100.0, 120.0, RATE])
 @pytest.mark.parametrize("seed", range(5))
-def test_the_motion_tells_a_step_of_the_clock_from_lost_frames(seed, rate):
+def test_the_motion_distinguishes_a_clock_step_from_lost_frames(seed, rate):
     time, poses = moving(seed, rate)
     lost = np.full(len(time), False)
     single = np.random.default_rng(seed).random(len(time)) < 0.05
@@ -236,7 +236,7 @@ def test_the_motion_tells_a_step_of_the_clock_from_lost_frames(seed, rate):
     assert step == pytest.approx(0.03, abs=1e-6)
 
 
-def test_all_but_the_longest_part_between_steps_is_left_out():
+def test_only_the_longest_segment_between_clock_steps_is_kept():
     spans = other_parts(np.arange(0.0, 10.0, 0.1), [7.0, 2.0])
     assert [(span.start, span.stop) for span in spans] == [(0.0, 2.0), (7.0, 9.9)]
     assert {span.cause for span in spans} == {"clock step"}

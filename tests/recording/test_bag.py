@@ -74,7 +74,7 @@ def assert_is_foreign(recording, topics):
 
 
 @pytest.mark.parametrize("suffix", [".mcap", ".db3", ".bag"])
-def test_an_empty_file_is_called_empty(tmp_path: Path, suffix: str):
+def test_an_empty_file_is_reported_as_empty(tmp_path: Path, suffix: str):
     (tmp_path / f"a{suffix}").touch()
     with pytest.raises(InputError, match=rf"a{suffix}: is empty"):
         read_recording(tmp_path / f"a{suffix}")
@@ -90,7 +90,7 @@ BARE = ("chunking", "statistics", "summary_offsets")
         {f"use_{part}": False for part in BARE} | {"repeat_channels": False},
     ],
 )
-def test_a_bare_mcap_of_another_writer(tmp_path: Path, topics, options):
+def test_a_bare_mcap_file_of_another_writer_is_read(tmp_path: Path, topics, options):
     path = write_mcap(tmp_path / "flight.mcap", topics, **options)
     recording = read_recording(path)
     assert_is_foreign(recording, topics)
@@ -100,7 +100,7 @@ def test_a_bare_mcap_of_another_writer(tmp_path: Path, topics, options):
     assert set(recording.hashes) == {"flight.mcap"}
 
 
-def test_a_folder_without_metadata_and_with_split_files(tmp_path: Path, topics):
+def test_a_folder_without_metadata_or_with_split_files_is_read(tmp_path: Path, topics):
     whole = read_recording(write_mcap(tmp_path / "whole.mcap", topics))
     folder = tmp_path / "bag"
     folder.mkdir()
@@ -128,7 +128,7 @@ def assert_is_rosbags(recording):
 @pytest.mark.parametrize(
     ("version", "change"), [(8, "VACUUM"), (9, "VACUUM"), (9, "DELETE FROM message_definitions")]
 )
-def test_a_sqlite_folder(tmp_path: Path, version: int, change: str):
+def test_a_sqlite_folder_is_read(tmp_path: Path, version: int, change: str):
     rosbags_folder(tmp_path / "bag", version=version)
     with sqlite3.connect(tmp_path / "bag" / "bag.db3") as database:
         database.execute(change)
@@ -139,7 +139,7 @@ def test_a_sqlite_folder(tmp_path: Path, version: int, change: str):
 
 
 @pytest.mark.parametrize("mode", ["FILE", "MESSAGE"])
-def test_compressed_sqlite_folders(tmp_path: Path, mode: str):
+def test_compressed_sqlite_folders_are_read(tmp_path: Path, mode: str):
     from rosbags.rosbag2 import CompressionFormat, CompressionMode
 
     rosbags_folder(tmp_path / "bag", compress=(CompressionMode[mode], CompressionFormat.ZSTD))
@@ -152,7 +152,7 @@ def test_folders_can_be_moved_and_renamed(tmp_path: Path):
     assert_is_rosbags(read_recording(tmp_path / "elsewhere"))
 
 
-def test_other_topics_by_name(tmp_path: Path, topics):
+def test_other_topics_can_be_named(tmp_path: Path, topics):
     moved = {
         {"/drone/control": "/craft/motors"}.get(name, name): topic for name, topic in topics.items()
     }
@@ -170,7 +170,7 @@ def test_an_optional_topic_may_be_missing_unless_it_was_named(tmp_path: Path, to
 
 
 @pytest.mark.parametrize("stream", ["pose", "command", "imu"])
-def test_a_wrong_type_names_file_topic_found_and_wanted(tmp_path: Path, topics, stream: str):
+def test_a_wrong_type_names_file_topic_and_both_types(tmp_path: Path, topics, stream: str):
     path = write_mcap(tmp_path / "a.mcap", topics)
     with pytest.raises(InputError) as caught:
         read_recording(path, topics=Topics(**{stream: "/rosout"}))
@@ -194,13 +194,15 @@ def test_a_wrong_type_names_file_topic_found_and_wanted(tmp_path: Path, topics, 
     ],
     ids=["no definition", "a missing part", "zeros", "other than numbers"],
 )
-def test_a_definition_of_no_command_is_one_clear_line(tmp_path: Path, topics, text: str, says: str):
+def test_an_unusable_command_definition_is_one_clear_line(
+    tmp_path: Path, topics, text: str, says: str
+):
     topics["/drone/control"] = ("my_msgs/msg/Command", text, [])
     with rejected(says, field="/drone/control"):
         read_recording(write_mcap(tmp_path / "a.mcap", topics))
 
 
-def test_any_number_of_motors_named_by_the_embedded_definition(tmp_path: Path, topics):
+def test_motors_are_named_by_the_embedded_definition(tmp_path: Path, topics):
     text = "std_msgs/Header header\nfloat64 left\nfloat64 right\nfloat64 lift\n" + HEADER
     messages = [(START_NS + i, stamped(START_NS + i, "b", (0.1, 0.2, 0.3))) for i in range(3)]
     topics["/drone/control"] = ("my_msgs/msg/Command", text, messages)
@@ -209,7 +211,7 @@ def test_any_number_of_motors_named_by_the_embedded_definition(tmp_path: Path, t
     assert command.values.tolist() == [[0.1, 0.2, 0.3]] * 3
 
 
-def test_a_definition_in_idl(tmp_path: Path, topics):
+def test_an_idl_definition_is_read(tmp_path: Path, topics):
     line = "=" * 80
     idl = f"""{line}
 IDL: my_msgs/msg/Command
@@ -256,7 +258,7 @@ module builtin_interfaces {{ module msg {{ struct Time {{
         "geometry_msgs/msg/TransformStamped",
     ],
 )
-def test_other_stamped_poses(tmp_path: Path, topics, msgtype: str):
+def test_other_stamped_pose_types_are_read(tmp_path: Path, topics, msgtype: str):
     from ..apparatus.messages import serialise
 
     position, turn = {"x": 0.5, "y": -0.5}, {"z": np.sin(-1.2), "w": np.cos(-1.2)}
@@ -273,7 +275,7 @@ def test_other_stamped_poses(tmp_path: Path, topics, msgtype: str):
     assert pose.values[0] == pytest.approx([0.5, -0.5, -2.4], abs=1e-15)
 
 
-def test_a_tilted_craft_has_the_yaw_of_its_heading(tmp_path: Path, topics):
+def test_the_yaw_of_a_tilted_craft_is_its_heading(tmp_path: Path, topics):
     # Yaw 0.7, then pitch 0.2, then roll -0.1, multiplied out by hand as rotations.
     def turn(axis: int, angle: float) -> np.ndarray:
         c, s = np.cos(angle), np.sin(angle)
@@ -290,7 +292,7 @@ def test_a_tilted_craft_has_the_yaw_of_its_heading(tmp_path: Path, topics):
     assert pose.values[0, 2] == pytest.approx(0.7, abs=1e-15)
 
 
-def test_nothing_is_judged_sorted_or_left_out(tmp_path: Path, topics):
+def test_a_reader_neither_checks_sorts_nor_drops_messages(tmp_path: Path, topics):
     stamps = [5, 3, 3, 9]
     numbers = [-np.inf, np.inf, 1e300, -0.0]
     pairs = zip(stamps, numbers, strict=True)
@@ -311,7 +313,7 @@ def test_nothing_is_judged_sorted_or_left_out(tmp_path: Path, topics):
         ((0, 0, 3 * np.sin(0.6), 3 * np.cos(0.6)), 1.2),
     ],
 )
-def test_a_quaternion_of_any_length_but_zero_has_a_yaw(tmp_path: Path, topics, quaternion, yaw):
+def test_any_quaternion_except_zero_has_a_yaw(tmp_path: Path, topics, quaternion, yaw):
     pose = poses_of(tmp_path, topics, [stamped(0, "", (0, 0, 0, *quaternion))])
     assert pose.values[0, 2] == pytest.approx(yaw, abs=1e-15, nan_ok=True)
 
@@ -324,7 +326,7 @@ def test_a_topic_without_messages_is_an_empty_stream(tmp_path: Path, topics):
         recording["command"]
 
 
-def test_a_message_that_does_not_fit_its_type(tmp_path: Path, topics):
+def test_a_message_that_does_not_match_its_type_is_reported(tmp_path: Path, topics):
     messages = topics["/drone/control"][2]
     messages[7] = (messages[7][0], b"\x00\x01\x00\x00\x01\x00")
     path = write_mcap(tmp_path / "a.mcap", topics)
@@ -342,7 +344,7 @@ def test_references_without_a_header_take_the_recorders_time(tmp_path: Path, top
     assert reference.stamp_ns.tolist() == reference.received_ns.tolist() == [77]
 
 
-def test_metadata_that_promises_more_than_there_is(tmp_path: Path):
+def test_messages_missing_according_to_metadata_are_reported(tmp_path: Path):
     rosbags_folder(tmp_path / "bag", plugin=StoragePlugin.MCAP)
     file = tmp_path / "bag" / "metadata.yaml"
     file.write_text(file.read_text().replace("message_count: 10\n", "message_count: 12\n"))
@@ -351,7 +353,7 @@ def test_metadata_that_promises_more_than_there_is(tmp_path: Path):
 
 
 @pytest.mark.parametrize("text", ["", "{", "a: b", "- 1", "rosbag2_bagfile_information: 7", "\0"])
-def test_damaged_metadata_does_not_keep_a_whole_file_from_being_read(tmp_path: Path, text: str):
+def test_damaged_metadata_does_not_prevent_reading_an_intact_file(tmp_path: Path, text: str):
     rosbags_folder(tmp_path / "bag", plugin=StoragePlugin.MCAP)
     (tmp_path / "bag" / "metadata.yaml").write_text(text)
     assert_is_rosbags(read_recording(tmp_path / "bag"))
@@ -361,7 +363,7 @@ def test_damaged_metadata_does_not_keep_a_whole_file_from_being_read(tmp_path: P
 @pytest.mark.parametrize(
     "content", [b"", b"\0" * 100, b"\x89MCAP0\r\n", b"SQLite format 3\0" + b"\1" * 200, b"text\n"]
 )
-def test_junk_under_a_bags_name(tmp_path: Path, name: str, content: bytes):
+def test_a_junk_file_named_like_a_bag_is_rejected(tmp_path: Path, name: str, content: bytes):
     (tmp_path / name).write_bytes(content)
     for path in (tmp_path / name, tmp_path):
         with rejected(name):
@@ -380,7 +382,7 @@ def test_junk_under_a_bags_name(tmp_path: Path, name: str, content: bytes):
         "DELETE FROM topics",
     ],
 )
-def test_a_sqlite_file_with_the_wrong_content(tmp_path: Path, damage: str):
+def test_a_sqlite_file_with_the_wrong_content_is_rejected(tmp_path: Path, damage: str):
     rosbags_folder(tmp_path / "bag")
     with sqlite3.connect(tmp_path / "bag" / "bag.db3") as database:
         # The schema must be right, but the content may be anything.
@@ -393,7 +395,7 @@ def test_a_sqlite_file_with_the_wrong_content(tmp_path: Path, damage: str):
         read_recording(tmp_path / "bag")
 
 
-def test_intervals_are_refused_for_a_bag_whose_messages_have_times(tmp_path):
+def test_intervals_are_rejected_for_a_bag_whose_messages_have_times(tmp_path):
     mapping = RecordingMapping(puck=PoseMapping(interval="dt"))
     with pytest.raises(InputError, match=r"puck\.interval: is a bag"):
         read_bag(tmp_path, mapping, ("pose",))
@@ -403,7 +405,7 @@ def halves(messages):
     return messages[: len(messages) // 2], messages[len(messages) // 2 :]
 
 
-def test_each_message_is_read_by_the_definition_of_its_channel(tmp_path: Path, topics):
+def test_each_message_is_decoded_by_the_definition_of_its_channel(tmp_path: Path, topics):
     """After an update of the firmware, the same type lists its motors in another order."""
     whole = read_recording(write_mcap(tmp_path / "whole.mcap", topics))
     before, after = halves(topics["/drone/control"][2])
@@ -446,7 +448,7 @@ def stamped_transform(pose: bytes, child: bytes = b"craft") -> bytes:
     return pose[:4] + body + b"\0" * (-len(body) % 8) + pose[-56:]
 
 
-def test_definitions_with_other_values_are_refused(tmp_path: Path, topics):
+def test_conflicting_definitions_are_rejected(tmp_path: Path, topics):
     before, after = halves(topics["/drone/control"][2])
     other = COMMAND_TEXT.replace("motor_c_2", "motor_d_2")
     path = write_channels(
@@ -461,7 +463,7 @@ def test_definitions_with_other_values_are_refused(tmp_path: Path, topics):
         read_recording(path, topics=Topics(command="/motors"))
 
 
-def test_messages_in_another_encoding_are_refused_by_its_name(tmp_path: Path):
+def test_an_unknown_message_encoding_is_rejected_by_name(tmp_path: Path):
     messages = [(START_NS, b"{}")]
     path = write_channels(
         tmp_path / "a.mcap",
@@ -491,7 +493,7 @@ def test_an_mcap_file_converted_from_ros_1_is_read(tmp_path: Path):
     assert read_recording(path).streams == whole.streams
 
 
-def test_topics_are_named_as_in_the_file(tmp_path: Path, topics):
+def test_topics_are_matched_by_their_exact_names(tmp_path: Path, topics):
     path = write_channels(
         tmp_path / "a.mcap",
         ("mocap/pose", *topics["/optitrack/drone/pose"]),
@@ -534,7 +536,7 @@ def test_two_flights_in_one_folder_are_two_recordings(tmp_path: Path, topics, na
         read_recording(folder)
 
 
-def test_files_that_metadata_lists_are_one_recording_in_its_order(tmp_path: Path, topics):
+def test_files_listed_in_metadata_are_read_in_its_order(tmp_path: Path, topics):
     """Whatever their names, and however long the pause between them."""
     whole = read_recording(write_mcap(tmp_path / "whole.mcap", topics))["pose"]
     folder = in_parts(tmp_path / "bag", topics, ("late.mcap", "early.mcap"), later=600)
@@ -574,7 +576,7 @@ def in_order(made: Recording) -> Recording:
     return Recording(streams, made.source)
 
 
-def test_what_is_written_is_read_back_equal(tmp_path: Path):
+def test_a_written_bag_round_trips(tmp_path: Path):
     made = flight()
     # References with stamps of their own keep them.
     reference = replace(made["reference"], stamp_ns=made["reference"].stamp_ns - 5)
@@ -587,7 +589,7 @@ def test_what_is_written_is_read_back_equal(tmp_path: Path):
 
 
 @given(yaw=st.floats(-np.pi, np.pi, exclude_min=True))
-def test_yaw_survives_the_quaternion(yaw: float):
+def test_yaw_round_trips_through_the_quaternion(yaw: float):
     from airpuck.recording.conversion import yaw_of
 
     half, none = np.array([yaw / 2]), np.zeros(1)
@@ -595,7 +597,7 @@ def test_yaw_survives_the_quaternion(yaw: float):
     assert abs(wrapped(back[0] - yaw)) <= 1e-15
 
 
-def test_independent_reading_of_the_bytes(tmp_path: Path):
+def test_independently_decoded_bytes_agree(tmp_path: Path):
     """With the mcap package and the fields unpacked by hand."""
     from mcap.reader import make_reader
 
@@ -636,8 +638,8 @@ def test_independent_reading_of_the_bytes(tmp_path: Path):
     )
 
 
-def test_independent_reading_by_rosbags(tmp_path: Path):
-    """Which compares each type's hash with its definition, as ROS does."""
+def test_rosbags_reads_a_written_bag_equally(tmp_path: Path):
+    """It compares each type's hash with its definition, as ROS does."""
     from rosbags.highlevel import AnyReader
 
     made = flight()
@@ -654,7 +656,7 @@ def test_independent_reading_by_rosbags(tmp_path: Path):
             assert [gyro.x, gyro.y, gyro.z] == made["imu"].values[index, 3:].tolist()
 
 
-def test_metadata_as_ros2_bag_wants_it(tmp_path: Path):
+def test_metadata_has_the_format_of_ros2_bag(tmp_path: Path):
     made = flight()
     write_bag(made, tmp_path / "bag")
     content = YAML(typ="safe").load((tmp_path / "bag" / "metadata.yaml").read_text())
@@ -676,7 +678,7 @@ def test_metadata_as_ros2_bag_wants_it(tmp_path: Path):
         assert quality["durability"] == 2
 
 
-def test_quality_of_service_as_the_table_recorded_it(tmp_path: Path, experiments: Path):
+def test_quality_of_service_matches_the_real_table(tmp_path: Path, experiments: Path):
     write_bag(flight(), tmp_path / "bag")
 
     def profiles(path: Path) -> dict[str, dict]:
@@ -709,7 +711,7 @@ def test_the_same_recording_gives_the_same_bytes(tmp_path: Path):
     "motors",
     [("left", "right"), SIX[::-1], tuple(f"fan_{i}" for i in range(9)), ("only",)],
 )
-def test_any_craft(tmp_path: Path, motors: tuple[str, ...]):
+def test_bags_of_any_craft_round_trip(tmp_path: Path, motors: tuple[str, ...]):
     made = Recording({"pose": flight()["pose"], "command": stream(50, 100, motors, 8)}, "made up")
     write_bag(made, tmp_path / "bag")
     assert_equal(read_recording(tmp_path / "bag"), made)
@@ -737,13 +739,13 @@ def stamped_at(field: str, stamp: int) -> Stream:
         ({"events": flight()["mouse"]}, "events: is not a stream that a bag can hold"),
     ],
 )
-def test_what_a_bag_cannot_hold_is_refused_before_anything_is_written(tmp_path, streams, says):
+def test_unrepresentable_recordings_are_rejected_before_writing(tmp_path, streams, says):
     with pytest.raises(InputError, match=says):
         write_bag(Recording(streams, "made up"), tmp_path / "bag")
     assert list(tmp_path.iterdir()) == []
 
 
-def test_other_topic_names(tmp_path: Path):
+def test_other_topic_names_are_written_and_read(tmp_path: Path):
     topics = Topics(pose="/mocap/puck", command="/puck/motors")
     write_bag(flight(), tmp_path / "bag", topics=topics)
     with pytest.raises(InputError, match="/mocap/puck"):
@@ -751,7 +753,7 @@ def test_other_topic_names(tmp_path: Path):
     assert_equal(read_recording(tmp_path / "bag", topics=topics), flight())
 
 
-def test_empty_streams(tmp_path: Path):
+def test_empty_streams_round_trip(tmp_path: Path):
     made = flight()
     empty = Stream(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 6)), SIX)
     write_bag(Recording({"pose": made["pose"], "command": empty}, ""), tmp_path / "bag")
@@ -763,7 +765,7 @@ def test_empty_streams(tmp_path: Path):
 
 
 @pytest.mark.parametrize("kind", ["folder", "file", "link"])
-def test_nothing_that_exists_is_overwritten(tmp_path: Path, kind: str):
+def test_existing_files_are_never_overwritten(tmp_path: Path, kind: str):
     target = tmp_path / "bag"
     if kind == "folder":
         target.mkdir()
@@ -777,7 +779,7 @@ def test_nothing_that_exists_is_overwritten(tmp_path: Path, kind: str):
     assert list(tmp_path.iterdir()) == [target]
 
 
-def test_an_interrupted_run_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_an_interrupted_run_leaves_no_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
 
@@ -787,13 +789,13 @@ def test_an_interrupted_run_leaves_nothing(tmp_path: Path, monkeypatch: pytest.M
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_place_that_cannot_be_written(tmp_path: Path):
+def test_an_unwritable_location_is_reported(tmp_path: Path):
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="cannot be written"):
         write_bag(flight(), tmp_path / "file" / "bag")
 
 
-def test_the_authors_recording_through_a_bag(tmp_path: Path, experiments: Path):
+def test_the_authors_recording_round_trips_through_a_bag(tmp_path: Path, experiments: Path):
     made = read_recording(experiments / "2024_03_05-16_12_50_sysid_h1_blue")
     write_bag(made, tmp_path / "bag")
     first = read_recording(tmp_path / "bag")
@@ -821,7 +823,7 @@ def begun(folder, n=100):
     return bag, places
 
 
-def test_what_was_flushed_is_there_whatever_happens_to_the_writer(tmp_path):
+def test_flushed_messages_survive_a_killed_writer(tmp_path):
     bag, places = begun(tmp_path / "bag")
     assert bag.counts == {"/optitrack/drone/pose": 100, "/drone/control": 100}
     bag.flush()
@@ -835,7 +837,7 @@ def test_what_was_flushed_is_there_whatever_happens_to_the_writer(tmp_path):
     assert len(read_recording(tmp_path / "bag")["pose"]) == 101
 
 
-def test_two_recorders_never_write_one_file(tmp_path: Path):
+def test_two_recorders_never_write_to_one_file(tmp_path: Path):
     first = BagFile(tmp_path / "bag")
     with pytest.raises(FileExistsError):
         BagFile(tmp_path / "bag")

@@ -22,7 +22,7 @@ def odometry(frame: str, child: str, x: float, sec: int = 5) -> bytes:
     )
 
 
-def test_leaves_come_in_the_order_of_the_wire():
+def test_fields_are_in_wire_order():
     leaves = flatten(STORE.fielddefs, POSE)
     assert [leaf.path for leaf in leaves[:4]] == [
         "header.stamp.sec",
@@ -40,7 +40,7 @@ def test_only_single_texts_and_sequences_of_them_are_read():
     assert [leaf.code for leaf in found] == ["string", "", "*string", "3<f8"]
 
 
-def test_a_missing_or_recursive_definition_is_a_value_error():
+def test_a_missing_or_recursive_definition_raises_value_error():
     with pytest.raises(ValueError, match="other_msgs/msg/Thing is missing"):
         flatten(get_types_from_msg("other_msgs/Thing thing", "a/msg/A"), "a/msg/A")
     with pytest.raises(ValueError, match="nested too deeply"):
@@ -48,7 +48,7 @@ def test_a_missing_or_recursive_definition_is_a_value_error():
 
 
 @given(frame=st.text(max_size=12), count=st.integers(1, 5))
-def test_poses_of_any_frame_are_read_as_rosbags_reads_them(frame: str, count: int):
+def test_poses_with_any_frame_name_match_rosbags(frame: str, count: int):
     messages = [pose_message(10**9 * i + 17, 0.1 * i, -3.0, 0.5, frame) for i in range(count)]
     paths = ["header.stamp.sec", "header.stamp.nanosec", "pose.position.x", "pose.orientation.w"]
     read = decode(messages, STORE.fielddefs, POSE, paths)
@@ -68,7 +68,7 @@ def test_poses_of_any_frame_are_read_as_rosbags_reads_them(frame: str, count: in
         (["a", "abcdefghijkl"], ["", "x"]),
     ],
 )
-def test_layouts_that_change_from_message_to_message(frames: list[str], children: list[str]):
+def test_layouts_may_change_from_message_to_message(frames: list[str], children: list[str]):
     messages = [
         odometry(frame, child, x)
         for frame, child, x in zip(frames, children, (1.5, 2.5), strict=True)
@@ -87,7 +87,7 @@ def test_layouts_that_change_from_message_to_message(frames: list[str], children
         ("float64[] many", "", [(np.ones(3), 0.5), (np.ones(1), 0.75)]),
     ],
 )
-def test_numbers_between_strings_and_sequences_that_change(before, after, rows):
+def test_numbers_between_strings_and_changing_sequences_are_read(before, after, rows):
     types = get_types_from_msg(f"{before}\nfloat64 x\n{after}", "a/msg/A")
     store = get_typestore(Stores.EMPTY)
     store.register(types)
@@ -95,7 +95,7 @@ def test_numbers_between_strings_and_sequences_that_change(before, after, rows):
     assert decode(messages, types, "a/msg/A", ["x"])["x"].tolist() == [0.5, 0.75]
 
 
-def test_messages_of_both_byte_orders():
+def test_messages_of_both_byte_orders_are_read():
     fields = {"header": {"stamp": {"sec": 3}}, "pose": {"position": {"y": 0.25}}}
     messages = [serialise(POSE, fields, little_endian=order) for order in (True, False)]
     # Without a string whose length would reveal it.
@@ -109,14 +109,14 @@ def test_messages_of_both_byte_orders():
 
 
 @pytest.mark.parametrize("cut", [0, 2, 4, 9, 15, 20, 40, 70])
-def test_a_message_cut_short_is_a_value_error(cut: int):
+def test_a_truncated_message_raises_value_error(cut: int):
     message = pose_message(1, 0, 0, 0, "world")
     for messages in ([message[:cut]], [message, message[:cut]], [message[:cut], message[:cut]]):
         with pytest.raises(ValueError, match="cannot be decoded"):
             decode(messages, STORE.fielddefs, POSE, ["pose.position.x"])
 
 
-def test_a_message_with_more_than_its_type_is_a_value_error():
+def test_an_overlong_message_raises_value_error():
     message = stamped(1, "", [1, 2, 3, 0, 0, 0, 1, 99])
     with pytest.raises(ValueError, match="message 1 cannot be decoded"):
         decode([message], STORE.fielddefs, POSE, ["pose.position.x"])
@@ -131,19 +131,19 @@ def test_a_message_with_more_than_its_type_is_a_value_error():
         "MSG: builtin_interfaces/Time\nint64 other\n",
     ],
 )
-def test_a_definition_that_cannot_be_used_is_a_value_error(text: str):
+def test_an_unusable_definition_raises_value_error(text: str):
     types = get_types_from_msg(text, "a/msg/A")
     with pytest.raises(ValueError, match="definition of a/msg/A cannot be used"):
         decode([b"\x00\x00\x00\x00" + bytes(8)], types, "a/msg/A", ["x"])
 
 
-def test_no_messages_are_empty_columns():
+def test_no_messages_give_empty_columns():
     read = decode([], STORE.fielddefs, POSE, ["header.stamp.sec", "pose.position.x"])
     assert [len(column) for column in read.values()] == [0, 0]
 
 
 @given(frame=st.text(alphabet="abcäö", max_size=9))
-def test_what_is_encoded_is_what_rosbags_serialises(frame: str):
+def test_encoding_matches_rosbags(frame: str):
     template, *expected = (
         serialise(
             POSE,
@@ -161,7 +161,7 @@ def test_what_is_encoded_is_what_rosbags_serialises(frame: str):
 
 
 @given(names=st.lists(st.text(max_size=9), min_size=1, max_size=80))
-def test_texts_of_any_lengths_are_read_as_rosbags_reads_them(names: list[str]):
+def test_texts_of_any_length_match_rosbags(names: list[str]):
     messages = [odometry("", name, float(k)) for k, name in enumerate(names)]
     read = decode(
         messages,

@@ -84,7 +84,7 @@ def own(text: str, rows, *, stamped: bool = True) -> Topic:
 
 @pytest.mark.parametrize("dimensions", [0, 1, 2])
 @pytest.mark.parametrize(("kind", "exact"), [("Float64", 0), ("Float32", 1e-7)])
-def test_arrays_without_a_header(tmp_path: Path, kind: str, exact: float, dimensions: int):
+def test_arrays_without_a_header_are_read(tmp_path: Path, kind: str, exact: float, dimensions: int):
     recording = read(tmp_path, array(kind, dimensions=dimensions))
     command = recording["command"]
     assert command.columns == UNNAMED
@@ -95,7 +95,7 @@ def test_arrays_without_a_header(tmp_path: Path, kind: str, exact: float, dimens
     assert "arrival times" in said
 
 
-def test_values_without_names_are_in_the_order_of_the_vehicle(tmp_path: Path):
+def test_unnamed_values_follow_the_order_of_the_vehicle(tmp_path: Path):
     six = np.random.default_rng(6).uniform(0, 1, (N, 6))
     vehicle = default_vehicle()
     plain = read(tmp_path, array("Float64", six))
@@ -108,7 +108,7 @@ def test_values_without_names_are_in_the_order_of_the_vehicle(tmp_path: Path):
     assert np.array_equal(cleaned.values, six[:, ::-1])
 
 
-def test_percent_and_single_entries_of_an_array(tmp_path: Path):
+def test_percentages_and_single_array_entries_are_read(tmp_path: Path):
     percent = np.round(100 * VALUES)
     chosen = CommandMapping(values=("data[3]", "data[0]"), scale=0.01)
     command = read(tmp_path, array("Float32", percent), command=chosen)["command"]
@@ -116,7 +116,7 @@ def test_percent_and_single_entries_of_an_array(tmp_path: Path):
     assert command.columns == ("value_1", "value_2")
 
 
-def test_header_and_float32_fields(tmp_path: Path):
+def test_header_and_float32_fields_are_read(tmp_path: Path):
     text = "".join(f"float32 {name}\n" for name in NAMES)
     recording = read(tmp_path, own(text, VALUES.astype(np.float32)))
     assert recording["command"].columns == NAMES
@@ -126,14 +126,14 @@ def test_header_and_float32_fields(tmp_path: Path):
 
 
 @pytest.mark.parametrize("text", ["float64[4] speed\n", "float64[] speed\n"])
-def test_header_and_an_array(tmp_path: Path, text: str):
+def test_a_header_with_an_array_is_read(tmp_path: Path, text: str):
     recording = read(tmp_path, own(text, [(row,) for row in VALUES]))
     assert recording["command"].columns == UNNAMED
     assert np.array_equal(recording["command"].values, VALUES)
     assert recording.warnings == ()
 
 
-def test_pulse_widths_among_other_fields(tmp_path: Path):
+def test_pulse_widths_among_other_fields_are_read(tmp_path: Path):
     widths = np.round(1000 + 1000 * VALUES).astype(np.uint16)
     rows = [(3, np.concatenate([row, [0, 0]]).astype(np.uint16)) for row in widths]
     topic = own("uint8 rssi\nuint16[] channels\n", rows)
@@ -150,7 +150,7 @@ def test_pulse_widths_among_other_fields(tmp_path: Path):
     np.testing.assert_allclose(command.values, (widths - 1000.0) / 1000, atol=1e-12)
 
 
-def test_joint_states_that_change_their_order(tmp_path: Path):
+def test_joint_states_may_change_their_order(tmp_path: Path):
     rng = np.random.default_rng(8)
     orders = [rng.permutation(4) for _ in range(N)]
     topic = joints(
@@ -164,7 +164,7 @@ def test_joint_states_that_change_their_order(tmp_path: Path):
     assert command.stamp_ns[3] == START_NS + 3 * 10**7 - 7
 
 
-def test_joint_states_with_several_filled_fields(tmp_path: Path):
+def test_joint_states_with_several_filled_fields_need_a_choice(tmp_path: Path):
     topic = joints([NAMES] * N, velocity=VALUES, effort=1 - VALUES)
     with pytest.raises(InputError, match=r'numbers in velocity, effort; .*values = \["velocity"\]'):
         read(tmp_path, topic)
@@ -173,7 +173,7 @@ def test_joint_states_with_several_filled_fields(tmp_path: Path):
     assert np.array_equal(command.values, 1 - VALUES)
 
 
-def test_joint_states_without_names_or_stamps(tmp_path: Path):
+def test_joint_states_without_names_or_stamps_are_read(tmp_path: Path):
     topic = joints([()] * N, position=VALUES, late=START_NS)
     # Their clock then shows 0 s, 0.01 s, ...: only a header that is never filled in is no time.
     assert read(tmp_path, topic).warnings == ()
@@ -200,7 +200,7 @@ def test_joint_states_without_names_or_stamps(tmp_path: Path):
         ([NAMES] * N, np.zeros((N, 0)), "messages without a number"),
     ],
 )
-def test_joint_states_that_do_not_fit(tmp_path: Path, names, columns, says: str):
+def test_invalid_joint_states_are_rejected(tmp_path: Path, names, columns, says: str):
     with pytest.raises(InputError, match=says):
         read(tmp_path, joints(names, effort=columns))
 
@@ -217,12 +217,12 @@ def test_joint_states_that_do_not_fit(tmp_path: Path, names, columns, says: str)
         ({"file": "motors.csv"}, r"command\.file: is a bag, which has no such file"),
     ],
 )
-def test_mappings_that_do_not_fit(tmp_path: Path, keys, says: str):
+def test_invalid_mappings_are_rejected(tmp_path: Path, keys, says: str):
     with pytest.raises(InputError, match=says):
         read(tmp_path, array("Float64"), command=CommandMapping(**keys))
 
 
-def test_not_a_number_is_logged_and_refused_later(tmp_path: Path):
+def test_nan_commands_are_read_and_rejected_later(tmp_path: Path):
     values = np.tile(VALUES[:, :1], 6)
     values[4, 2] = np.nan
     recording = read(tmp_path, array("Float64", values))
@@ -231,7 +231,7 @@ def test_not_a_number_is_logged_and_refused_later(tmp_path: Path):
         clean_streams(recording, default_vehicle())
 
 
-def test_poses_without_a_header_in_mm_and_y_up(tmp_path: Path):
+def test_poses_without_a_header_in_mm_and_y_up_are_read(tmp_path: Path):
     rng = np.random.default_rng(9)
     poses = rng.uniform(-1, 1, (N, 3))
 
@@ -253,7 +253,7 @@ def test_poses_without_a_header_in_mm_and_y_up(tmp_path: Path):
     assert len(recording.warnings) == 2
 
 
-def test_a_pose_message_of_ones_own(tmp_path: Path):
+def test_a_custom_pose_message_is_read(tmp_path: Path):
     rows = [(1_000_000 + 10_000 * k, 10.0 * k, -5.0 * k, 2.0 * k) for k in range(N)]
     pose = own("uint64 micros\nfloat64 east\nfloat64 north\nfloat64 heading\n", rows)
     keys = PoseMapping(
@@ -270,7 +270,7 @@ def test_a_pose_message_of_ones_own(tmp_path: Path):
         read(tmp_path, array("Float64"), pose, pose=wrong)
 
 
-def test_the_mapping_that_an_error_shows_is_the_one_to_write(tmp_path: Path):
+def test_the_mapping_suggested_by_an_error_works(tmp_path: Path):
     foreign = foreign_topics()
     topics = {"/vicon": foreign.pop("/optitrack/drone/pose"), "/motors": array("Float32")}
     topics["/rosout"] = foreign["/rosout"]

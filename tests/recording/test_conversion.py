@@ -26,7 +26,7 @@ def random_rotations(n: int = 50) -> Rotation:
 
 
 @pytest.mark.parametrize("axes", RENAMINGS)
-def test_renamed_axes_turn_positions_and_rotations_alike(axes: tuple[str, ...]):
+def test_renamed_axes_rotate_positions_and_orientations_alike(axes: tuple[str, ...]):
     renaming, rotations = RENAMINGS[axes], random_rotations()
     positions = np.random.default_rng(1).normal(size=(50, 3))
     # The axis of each rotation is renamed; the sense about it stays the same, even in a mirror.
@@ -47,7 +47,7 @@ def test_renamed_axes_turn_positions_and_rotations_alike(axes: tuple[str, ...]):
 
 
 @pytest.mark.parametrize("up", ["x", "y", "z"])
-def test_another_axis_that_is_up_is_told_by_the_positions(up: str):
+def test_another_vertical_axis_is_recognised_by_the_positions(up: str):
     """A flight over the table, turned as a program with that vertical axis logs it."""
     t = np.linspace(0, 20, 500)
     rng = np.random.default_rng(4)
@@ -70,7 +70,7 @@ def test_another_axis_that_is_up_is_told_by_the_positions(up: str):
 
 
 @pytest.mark.parametrize("level", [0, 1])
-def test_a_column_of_heights_among_two_coordinates_is_told(level: int):
+def test_a_column_of_heights_among_two_coordinates_is_recognised(level: int):
     """The mapping named two of a program's three columns, and one of them is the height."""
     t = np.linspace(0, 20, 500)
     logged = np.column_stack([np.sin(t), 0.02 + 1e-4 * np.random.default_rng(4).normal(size=500)])
@@ -85,7 +85,7 @@ def test_a_column_of_heights_among_two_coordinates_is_told(level: int):
 
 
 @pytest.mark.filterwarnings("error")
-def test_a_motion_along_a_line_a_narrow_one_or_a_single_pose_tell_no_height():
+def test_motion_along_a_line_or_a_single_pose_reveals_no_vertical_axis():
     t = np.linspace(0, 20, 500)
     noise = 1e-4 * np.random.default_rng(4).normal(size=500)
     # A puck has no yaw, and a controller that moves the craft along x holds y to millimetres.
@@ -98,7 +98,7 @@ def test_a_motion_along_a_line_a_narrow_one_or_a_single_pose_tell_no_height():
 
 
 @pytest.mark.parametrize("order", ["".join(order) for order in permutations("XYZ")])
-def test_euler_angles_in_every_order_in_degrees(order: str):
+def test_euler_angles_in_every_order_are_converted_from_degrees(order: str):
     rotations = random_rotations()
     expected = poses_of(np.zeros((50, 2)), rotations.as_quat(), "quaternion", PoseMapping())
     for kind in (order, order.lower()):
@@ -108,7 +108,7 @@ def test_euler_angles_in_every_order_in_degrees(order: str):
 
 
 @pytest.mark.parametrize("signs", list(product((1, -1), repeat=3)))
-def test_wrong_signs_of_x_y_and_yaw_are_mended_one_by_one(signs: tuple[int, ...]):
+def test_wrong_signs_of_x_y_and_yaw_are_corrected_one_by_one(signs: tuple[int, ...]):
     rng = np.random.default_rng(2)
     poses = rng.uniform(-1, 1, (20, 3))
     logged = poses * signs
@@ -122,7 +122,7 @@ def test_wrong_signs_of_x_y_and_yaw_are_mended_one_by_one(signs: tuple[int, ...]
         np.testing.assert_allclose(found, poses, atol=1e-12)
 
 
-def test_y_up_by_hand():
+def test_y_up_matches_a_hand_calculation():
     # Motive's axes: y up, and seen from above z points down when x points right. A craft at
     # x = 1 m, 2 m away from us (-z), that turned left by 30 degrees.
     left = Rotation.from_euler("y", [[30]], degrees=True)
@@ -135,7 +135,7 @@ def test_y_up_by_hand():
     np.testing.assert_allclose(found, [[1, 2, np.pi / 6]], atol=1e-15)
 
 
-def test_a_yaw_counts_about_the_vertical_axis_of_the_file():
+def test_the_yaw_is_about_the_vertical_axis_of_the_file():
     yaw, positions = np.array([[90.0]]), np.array([[1.0, 2.0, 3.0]])
     degrees = ("deg",)
     for axes, x, y, angle in (
@@ -148,19 +148,19 @@ def test_a_yaw_counts_about_the_vertical_axis_of_the_file():
         np.testing.assert_allclose(found, [[x, y, np.radians(angle)]])
 
 
-def test_two_coordinates_cannot_be_turned_up():
+def test_two_coordinates_cannot_be_rotated_to_y_up():
     with pytest.raises(InputError, match="axes needs the third"):
         poses_of(np.zeros((1, 2)), np.zeros((1, 1)), "yaw", PoseMapping(axes="Y-up"))
 
 
-def test_nine_numbers_that_are_no_rotation():
+def test_nine_numbers_that_are_not_a_rotation_are_rejected():
     rotations = random_rotations(3).as_matrix()
     for wrong in (2 * rotations, -rotations, rotations[:, ::-1]):
         with pytest.raises(InputError, match="not a rotation matrix"):
             poses_of(np.zeros((3, 2)), wrong.reshape(3, 9), "matrix", PoseMapping())
 
 
-def test_a_rotation_that_is_not_finite_stays_so():
+def test_a_non_finite_rotation_stays_non_finite():
     matrices = random_rotations(3).as_matrix().reshape(3, 9)
     matrices[1, 4] = np.nan
     euler = random_rotations(3).as_euler("XYZ")
@@ -171,7 +171,7 @@ def test_a_rotation_that_is_not_finite_stays_so():
             assert np.isfinite(yaw[[0, 2]]).all()
 
 
-def test_whole_numbers_and_dates_are_exact():
+def test_integer_times_and_dates_are_exact():
     late = 1_709_651_570_788_520_097
     assert stamps_of(np.array([late]), PoseMapping(units=("ns",))).tolist() == [late]
     assert stamps_of(np.array([late // 1000]), PoseMapping(units=("us",))).tolist() == [
@@ -184,7 +184,7 @@ def test_whole_numbers_and_dates_are_exact():
     ]
 
 
-def test_times_in_every_unit():
+def test_times_in_every_unit_are_converted():
     for unit, time in (("s", 1.25), ("ms", 1250.0), ("us", 1.25e6), ("ns", 1.25e9)):
         found = stamps_of(np.array([time]), PoseMapping(units=(unit,), start_s=2.0))
         assert found.tolist() == [3_250_000_000]
@@ -201,12 +201,12 @@ def test_times_in_every_unit():
         (np.array([2**62]), "name its unit"),
     ],
 )
-def test_times_that_are_none(time: np.ndarray, says: str):
+def test_invalid_times_are_rejected(time: np.ndarray, says: str):
     with pytest.raises(InputError, match=says):
         stamps_of(time, PoseMapping())
 
 
-def test_percent_and_pulse_widths_end_at_0_and_1_exactly():
+def test_percentages_and_pulse_widths_map_exactly_to_0_and_1():
     percent = commands_of(np.array([[0.0, 30.0, 100.0]]), CommandMapping(scale=0.01))
     np.testing.assert_allclose(percent, [[0, 0.3, 1]], rtol=1e-15)
     for low, high in ((1000.0, 2000.0), (1100.0, 1900.0), (1094.0, 1941.0)):
@@ -239,7 +239,7 @@ NAMES = ("qx", "qy", "qz", "qw")
         ((1, 2, 3, 0), 'order x, y, z, w.*{x = "qw", y = "qx", z = "qy", w = "qz"}'),
     ],
 )
-def test_a_quaternion_in_another_order_is_recognised(columns, line: str):
+def test_a_reordered_quaternion_is_recognised(columns, line: str):
     position = np.zeros((len(YAW), 2))
     logged = quaternions(YAW)[:, columns]
     with pytest.raises(InputError, match=f"would roll by up to .*{line}"):
@@ -255,13 +255,13 @@ def test_a_quaternion_in_another_order_is_recognised(columns, line: str):
 
 
 @pytest.mark.parametrize("mounted", ["identity", "upside down", "on its side"])
-def test_a_frame_that_is_mounted_at_an_angle_is_no_other_order(mounted: str):
+def test_a_rotated_mounting_is_not_taken_for_another_quaternion_order(mounted: str):
     angle = {"identity": 0, "upside down": np.pi, "on its side": np.pi / 2}[mounted]
     turned = Rotation.from_quat(quaternions(YAW)) * Rotation.from_euler("x", angle)
     poses_of(np.zeros((len(YAW), 2)), turned.as_quat(), "quaternion", PoseMapping(), NAMES)
 
 
-def test_a_rotation_vector_is_the_axis_times_the_angle():
+def test_a_rotation_vector_is_axis_times_angle():
     turned = Rotation.from_quat(quaternions(YAW))
     found = poses_of(np.zeros((len(YAW), 2)), turned.as_rotvec(), "vector", PoseMapping())
     assert np.unwrap(found[:, 2]) == pytest.approx(YAW, abs=0.01)
@@ -270,7 +270,7 @@ def test_a_rotation_vector_is_the_axis_times_the_angle():
 PULSES = np.array([[900.0, 900.0], [1000.0, 1500.0], [1000.0, 2000.0]])
 
 
-def test_a_disarmed_pulse_is_named_and_then_means_stopped():
+def test_a_disarmed_pulse_is_named_and_means_stopped():
     servo = {"neutral": 1000.0, "span": 1000.0}
     with pytest.raises(InputError, match=r"pulses of 900 .* 1 of 3 .*{disarmed = 900}"):
         commands_of(PULSES, CommandMapping(**servo))
@@ -284,7 +284,7 @@ def test_several_disarmed_pulses_are_named():
         commands_of(pulses, CommandMapping(neutral=1000.0, span=1000.0))
 
 
-def test_pulses_of_motors_that_reverse_are_not_disarmed():
+def test_pulses_of_reversible_motors_are_not_called_disarmed():
     for pulses in ([[1400, 1400], [1300, 1600]], [[1000, 1000], [2000, 1500]], [[1400, 1500]]):
         found = commands_of(np.array(pulses, float), CommandMapping(neutral=1500, span=500))
         assert found.min() < 0

@@ -38,7 +38,7 @@ def folder(path: Path, pose=POSE_LINES, command=COMMAND_LINES, end: str = "\n") 
     return path
 
 
-def test_columns_by_name_and_times_to_the_nanosecond(tmp_path: Path):
+def test_columns_are_found_by_name_and_times_to_the_nanosecond(tmp_path: Path):
     recording = read_recording(folder(tmp_path))
     pose, command = recording["pose"], recording["command"]
     # These differ in digits that a float64 of seconds or nanoseconds does not hold.
@@ -53,7 +53,7 @@ def test_columns_by_name_and_times_to_the_nanosecond(tmp_path: Path):
     assert recording.warnings == ()
 
 
-def test_any_order_of_columns_and_extra_ones(tmp_path: Path):
+def test_columns_may_be_in_any_order_with_extra_ones(tmp_path: Path):
     rows = [line.split(",") for line in POSE_LINES]
     shuffled = [",".join(["text" if i else "note", *row[::-1]]) for i, row in enumerate(rows)]
     expected = read_recording(folder(tmp_path))
@@ -68,14 +68,14 @@ def test_any_order_of_columns_and_extra_ones(tmp_path: Path):
         lambda text: b"\xef\xbb\xbf" + text.replace(b"\n", b"\r\n"),
     ],
 )
-def test_other_ends_of_file_and_of_lines(tmp_path: Path, change):
+def test_other_line_and_file_endings_are_read(tmp_path: Path, change):
     expected = read_recording(folder(tmp_path)).streams
     for name in (POSE, COMMAND):
         (tmp_path / name).write_bytes(change((tmp_path / name).read_bytes()))
     assert read_recording(tmp_path).streams == expected
 
 
-def test_columns_that_are_not_called_motor(tmp_path: Path):
+def test_all_columns_are_commands_unless_some_are_named_motor(tmp_path: Path):
     lines = [COMMAND_LINES[0].replace("motor_1", "left").replace("motor_2", "lift.fan")]
     command = read_recording(folder(tmp_path, command=lines + COMMAND_LINES[1:]))["command"]
     assert command.columns == ("left", "lift.fan")
@@ -88,7 +88,7 @@ def test_columns_that_are_not_called_motor(tmp_path: Path):
         read_recording(folder(tmp_path, command=none))
 
 
-def test_references_without_stamps(tmp_path: Path):
+def test_references_without_stamps_are_read(tmp_path: Path):
     lines = ["log_time_ns,v_x,v_y,w_z,x,y,yaw", "1700589581517869741,0.1,0.2,0.3,1.0,0.5,1.5"]
     (folder(tmp_path) / "control_state_ref.csv").write_text("\n".join(lines))
     reference = read_recording(tmp_path)["reference"]
@@ -96,7 +96,7 @@ def test_references_without_stamps(tmp_path: Path):
     assert reference.stamp_ns.tolist() == reference.received_ns.tolist() == [1700589581517869741]
 
 
-def test_the_quaternion_that_is_written_has_the_yaw(tmp_path: Path):
+def test_the_written_quaternion_has_the_same_yaw(tmp_path: Path):
     recording = flight()
     write_csv(recording, tmp_path / "out")
     file = tmp_path / "out" / POSE
@@ -111,7 +111,7 @@ def test_the_quaternion_that_is_written_has_the_yaw(tmp_path: Path):
     assert np.abs(turned).max() < 1e-12
 
 
-def test_a_quaternion_where_there_is_no_yaw(tmp_path: Path):
+def test_a_quaternion_replaces_a_missing_yaw(tmp_path: Path):
     header = POSE_LINES[0].replace("pose.orientation.yaw", "pose.orientation.w")
     pose = [
         f"{header},pose.orientation.x,pose.orientation.y,pose.orientation.z",
@@ -122,7 +122,7 @@ def test_a_quaternion_where_there_is_no_yaw(tmp_path: Path):
     assert values[0] == pytest.approx([0.25, 0.75, 2.2], abs=1e-15)
 
 
-def test_files_named_after_other_topics(tmp_path: Path):
+def test_files_named_after_other_topics_are_found(tmp_path: Path):
     folder(tmp_path)
     expected = read_recording(tmp_path).streams
     (tmp_path / POSE).rename(tmp_path / "mocap_puck.csv")
@@ -134,14 +134,14 @@ def test_files_named_after_other_topics(tmp_path: Path):
     assert read_recording(tmp_path).streams == expected
 
 
-def test_references_are_not_taken_for_commands(tmp_path: Path):
+def test_references_are_not_mistaken_for_commands(tmp_path: Path):
     expected = read_recording(folder(tmp_path)).streams
     (tmp_path / COMMAND).rename(tmp_path / "puck_control.csv")
     (tmp_path / "puck_control_state_ref.csv").write_text("log_time_ns,x\n")
     assert read_recording(tmp_path).streams == expected
 
 
-def test_several_files_that_may_be_the_pose(tmp_path: Path):
+def test_several_possible_pose_files_are_reported(tmp_path: Path):
     folder(tmp_path)
     for name in ("pose_a.csv", "pose_b.csv"):
         (tmp_path / name).write_bytes((tmp_path / POSE).read_bytes())
@@ -151,7 +151,7 @@ def test_several_files_that_may_be_the_pose(tmp_path: Path):
         read_recording(tmp_path)
 
 
-def test_out_of_order_and_duplicated_rows_stay_as_they_are(tmp_path: Path):
+def test_unordered_and_duplicated_rows_are_kept(tmp_path: Path):
     pose = [POSE_LINES[0], POSE_LINES[2], POSE_LINES[1], POSE_LINES[1]]
     stamps = read_recording(folder(tmp_path, pose=pose))["pose"].stamp_ns.tolist()
     assert stamps == [1709651570792686700, 1709651570788520097, 1709651570788520097]
@@ -160,7 +160,7 @@ def test_out_of_order_and_duplicated_rows_stay_as_they_are(tmp_path: Path):
         alone["pose"]
 
 
-def test_half_a_line_at_the_end_is_left_out_with_a_warning(tmp_path: Path):
+def test_an_incomplete_last_line_is_ignored_with_a_warning(tmp_path: Path):
     pose = [*POSE_LINES, POSE_LINES[1][:40]]
     recording = read_recording(folder(tmp_path, pose=pose, end=""))
     assert len(recording["pose"]) == 2
@@ -202,7 +202,7 @@ X, SEC, LOG = "pose.position.x", "header.stamp.sec", "log_time_ns"
         ),
     ],
 )
-def test_what_is_wrong_is_said_with_file_column_and_line(
+def test_errors_name_file_column_and_line(
     tmp_path: Path, pose: list[str], field: str | None, says: str
 ):
     with rejected(tmp_path / POSE, says, field=field):
@@ -210,7 +210,7 @@ def test_what_is_wrong_is_said_with_file_column_and_line(
 
 
 @pytest.mark.parametrize("content", [b"\xff\xfe\x00", b"\x89MCAP0\r\n" + bytes(range(256)), b""])
-def test_what_is_no_text(tmp_path: Path, content: bytes):
+def test_a_file_that_is_not_text_is_rejected(tmp_path: Path, content: bytes):
     (folder(tmp_path) / POSE).write_bytes(content)
     with pytest.raises(InputError, match=r"is not UTF-8 text|is empty"):
         read_recording(tmp_path)
@@ -218,7 +218,7 @@ def test_what_is_no_text(tmp_path: Path, content: bytes):
 
 @examples(200)
 @given(cut=st.integers(0, len("\n".join(POSE_LINES))), junk=st.binary(max_size=6))
-def test_cut_anywhere(cut: int, junk: bytes):
+def test_a_file_cut_anywhere_is_read_or_rejected(cut: int, junk: bytes):
     with tempfile.TemporaryDirectory() as name:
         path = folder(Path(name))
         (path / POSE).write_bytes("\n".join(POSE_LINES).encode()[:cut] + junk)
@@ -230,7 +230,7 @@ def test_cut_anywhere(cut: int, junk: bytes):
             assert len(recording.streams["pose"]) <= 2 + junk.count(b"\n") + junk.count(b"\r")
 
 
-def test_what_is_written_is_read_back_bit_equal(tmp_path: Path):
+def test_a_written_folder_round_trips_exactly(tmp_path: Path):
     made = flight()
     # References with stamps of their own, and numbers that are not finite.
     given = made["reference"]
@@ -255,7 +255,7 @@ def test_only_an_empty_folder_is_written_to(tmp_path: Path):
     assert list((tmp_path / "empty").iterdir())
 
 
-def test_the_authors_files(experiments: Path):
+def test_the_authors_files_are_read(experiments: Path):
     path = experiments / "2024_03_05-16_12_50_sysid_h1_blue"
     recording = read_recording(path)
     pose, command = recording["pose"], recording["command"]
@@ -285,7 +285,7 @@ def test_the_authors_files(experiments: Path):
     assert np.array_equal(pose.values, table)
 
 
-def test_the_authors_closed_loop_flights(data: Path):
+def test_the_authors_closed_loop_flights_are_read(data: Path):
     recording = read_recording(data / "control_experiment" / "data_M4")
     reference = recording["reference"]
     assert reference.values[:, :3].tolist() == [
@@ -297,7 +297,7 @@ def test_the_authors_closed_loop_flights(data: Path):
     assert np.diff(reference.received_ns[1:]) / 1e9 == pytest.approx([2, 2], abs=0.01)
 
 
-def test_the_authors_files_again_through_ours(tmp_path: Path, experiments: Path):
+def test_the_authors_files_round_trip_through_our_format(tmp_path: Path, experiments: Path):
     recording = read_recording(experiments / "2024_03_05-16_12_50_sysid_h1_blue")
     write_csv(recording, tmp_path / "csv")
     assert read_recording(tmp_path / "csv").streams == recording.streams

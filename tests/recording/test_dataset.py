@@ -109,7 +109,7 @@ def test_the_study_is_downloaded_once(tmp_path: Path, server: Server):
     assert len(server.asked) == 2
 
 
-def test_all_of_it(tmp_path: Path, server: Server):
+def test_the_whole_data_set_can_be_downloaded(tmp_path: Path, server: Server):
     seen = []
     fetch(
         all=True,
@@ -148,7 +148,7 @@ def test_a_redirect_is_followed(tmp_path: Path, server: Server):
         (CONTENT["models/paper/M0/params.json"], "the connection broke"),
     ],
 )
-def test_what_goes_wrong_is_said_and_nothing_is_kept(
+def test_a_failed_download_is_reported_and_leaves_no_files(
     tmp_path: Path, server: Server, monkeypatch: pytest.MonkeyPatch, content, says: str
 ):
     monkeypatch.setattr("airpuck.boundary.limits.DOWNLOAD_BYTES", 1500)
@@ -166,7 +166,7 @@ def test_what_goes_wrong_is_said_and_nothing_is_kept(
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "no-such-host.invalid"])
-def test_offline_is_one_clear_line(tmp_path: Path, published, host: str):
+def test_being_offline_is_reported_in_one_clear_line(tmp_path: Path, published, host: str):
     with socket.socket() as unused:
         unused.bind(("127.0.0.1", 0))
         port = unused.getsockname()[1]
@@ -176,7 +176,7 @@ def test_offline_is_one_clear_line(tmp_path: Path, published, host: str):
     assert files_in(tmp_path / "copy") == {}
 
 
-def test_the_variable_names_a_copy_that_is_checked(
+def test_a_copy_named_by_the_variable_is_checked(
     tmp_path: Path, server: Server, monkeypatch: pytest.MonkeyPatch
 ):
     target = fetch(folder=tmp_path / "copy", base_url=server.url)
@@ -194,7 +194,9 @@ def test_the_variable_names_a_copy_that_is_checked(
 
 
 @pytest.mark.parametrize("call", [fetch, dataset_folder])
-def test_the_variable_names_no_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, call):
+def test_a_variable_that_names_no_folder_is_reported(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, call
+):
     monkeypatch.setenv("AIRPUCK_DATA", str(tmp_path / "nowhere"))
     with pytest.raises(InputError, match="AIRPUCK_DATA: is not a folder"):
         call()
@@ -218,7 +220,7 @@ def test_the_registry_is_pinned():
     assert sum(name.endswith("params.json") for name in study) == 5
 
 
-def test_the_registry_is_the_published_one(data: Path):
+def test_the_registry_matches_the_published_one(data: Path):
     lines = (data / "SHA256SUMS").read_text().split("\n")
     expected = {name: digest for digest, name in (line.split() for line in lines if line)}
     assert dataset().files == expected
@@ -239,12 +241,12 @@ def test_every_dataset_is_pinned_and_its_own_files_can_be_read(name: str):
         assert set(read_mapping(own / "mapping.toml").command.propellers) == set(names)
 
 
-def test_an_unknown_dataset():
+def test_an_unknown_dataset_is_rejected():
     with pytest.raises(InputError, match="choose from air-bearing-satellite, cybership-enterprise"):
         fetch("satellite")
 
 
-def test_our_files_lie_beside_the_data_and_nothing_is_downloaded_twice(
+def test_our_files_lie_next_to_the_data_and_nothing_is_downloaded_twice(
     tmp_path: Path, server: Server, monkeypatch: pytest.MonkeyPatch
 ):
     monkeypatch.setenv("AIRPUCK_DATA", str(tmp_path))  # the paper's data, and no other's
@@ -270,7 +272,7 @@ def test_our_files_lie_beside_the_data_and_nothing_is_downloaded_twice(
         fetch(name, folder=target, base_url=server.url)
 
 
-def test_the_real_copy_is_whole(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_the_real_copy_is_complete(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     assert verify(data) == {}
     missing = verify(data, all=True)
     assert set(missing.values()) <= {"is missing"}

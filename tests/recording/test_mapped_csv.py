@@ -70,7 +70,7 @@ def assert_is_the_flight(recording: Recording, kept=slice(None)) -> None:
     assert command.stamp_ns.tolist() == (np.round(1e9 * TIME) + 17).astype(int).tolist()
 
 
-def test_columns_units_scale_and_files(tmp_path: Path):
+def test_columns_units_scale_and_files_are_applied(tmp_path: Path):
     recording = read_recording(folder(tmp_path), mapping=mapping(tmp_path))
     assert_is_the_flight(recording)
     assert recording["command"].columns == ("m1", "m2", "m3", "m4")
@@ -79,12 +79,12 @@ def test_columns_units_scale_and_files(tmp_path: Path):
 
 
 @pytest.mark.parametrize("between", [";", "\t"])
-def test_other_separators(tmp_path: Path, between: str):
+def test_other_separators_are_recognised(tmp_path: Path, between: str):
     path = folder(tmp_path, mocap(between=between))
     assert_is_the_flight(read_recording(path, mapping=mapping(tmp_path)))
 
 
-def test_propellers_by_name_choose_their_columns(tmp_path: Path):
+def test_propellers_select_their_columns_by_name(tmp_path: Path):
     command = motors().replace("m1,m2,m3,m4", "left,right,front,rear")
     text = MAPPING.replace('values = ["m1", "m2", "m3", "m4"]', 'propellers = ["rear", "left"]')
     found = read_recording(folder(tmp_path, command=command), mapping=mapping(tmp_path, text))
@@ -96,7 +96,7 @@ def test_propellers_by_name_choose_their_columns(tmp_path: Path):
     assert found["command"].columns == ("a", "b", "c", "d")
 
 
-def test_one_file_with_all_and_blank_cells(tmp_path: Path):
+def test_one_file_may_hold_all_streams_with_blank_cells(tmp_path: Path):
     """A merged log: poses and commands at different times, blank where the other one is."""
     names = "time,x,y,qx,qy,qz,qw,u1,u2"
     rows = []
@@ -183,12 +183,12 @@ DIAGONAL = csv(
         ),
     ],
 )
-def test_what_is_wrong_is_said_in_one_line(tmp_path: Path, pose: str, text: str, says: str):
+def test_errors_end_in_one_line(tmp_path: Path, pose: str, text: str, says: str):
     with pytest.raises(InputError, match=says):
         read_recording(folder(tmp_path, pose), mapping=mapping(tmp_path, text))
 
 
-def test_all_that_is_missing_is_named_at_once(tmp_path: Path):
+def test_all_missing_keys_are_named_at_once(tmp_path: Path):
     path = folder(tmp_path, "a,b\n1,2\n", "c,d\n1,2\n")
     with rejected(
         "mocap.csv: t, x, y, theta: there is no such column",
@@ -199,7 +199,7 @@ def test_all_that_is_missing_is_named_at_once(tmp_path: Path):
         read_recording(path, mapping=mapping(tmp_path))
 
 
-def test_files_of_which_nothing_is_known(tmp_path: Path):
+def test_unknown_files_are_reported_with_a_mapping_to_write(tmp_path: Path):
     folder(tmp_path)
     with pytest.raises(InputError) as caught:
         read_recording(tmp_path)
@@ -213,14 +213,14 @@ def test_files_of_which_nothing_is_known(tmp_path: Path):
         read_recording(tmp_path / "mocap.csv")
 
 
-def test_a_file_that_the_mapping_names_and_that_is_not_there(tmp_path: Path):
+def test_a_missing_file_named_by_the_mapping_is_reported(tmp_path: Path):
     folder(tmp_path)
     (tmp_path / "motors.csv").rename(tmp_path / "control.csv")
     with pytest.raises(InputError, match=r"has no command file \(motors.csv\)"):
         read_recording(tmp_path, mapping=mapping(tmp_path))
 
 
-def test_order_and_duplicates_are_kept_for_preprocessing(tmp_path: Path):
+def test_order_and_duplicates_are_left_to_preprocessing(tmp_path: Path):
     lines = mocap().splitlines()
     lines[5], lines[6] = lines[6], lines[5]
     lines.insert(9, lines[9])
@@ -232,13 +232,13 @@ def test_order_and_duplicates_are_kept_for_preprocessing(tmp_path: Path):
     assert len(kept.warnings) == 2
 
 
-def test_a_last_line_that_is_cut(tmp_path: Path):
+def test_an_incomplete_last_line_is_ignored(tmp_path: Path):
     found = read_recording(folder(tmp_path, mocap().rstrip("\n")[:-30]), mapping=mapping(tmp_path))
     assert_is_the_flight(found, slice(None, N - 1))
     assert "mocap.csv is cut short" in found.warnings[0]
 
 
-def test_authors_columns_in_another_unit(tmp_path: Path):
+def test_the_authors_columns_can_be_given_another_unit(tmp_path: Path):
     head = "log_time_ns,header.stamp.sec,header.stamp.nanosec"
     (tmp_path / "my_pose.csv").write_text(
         f"{head},pose.orientation.yaw,pose.position.x,pose.position.y\n7,1,2,90,1500,-250\n"
@@ -296,7 +296,7 @@ def read_cells(path: Path, cells: list[str], keys: str) -> Recording:
         ('values = ["value"]\nbits = [52, 8, 4, 0]', lambda row: hex(row @ [2**52, 256, 16, 1])),
     ],
 )
-def test_all_commands_in_one_cell(tmp_path: Path, keys: str, cell):
+def test_all_commands_may_be_in_one_cell(tmp_path: Path, keys: str, cell):
     read = read_cells(tmp_path, [cell(row) for row in SWITCHES], keys)
     assert read["command"].columns == ("a", "b", "c", "d")
     np.testing.assert_array_equal(read["command"].values, SWITCHES)
@@ -319,7 +319,7 @@ def test_all_commands_in_one_cell(tmp_path: Path, keys: str, cell):
         ("bits = [0, 1, 2, 3]", "0x1", "9007199254740992", "is not a bit mask"),
     ],
 )
-def test_a_wrong_cell_is_named_by_file_line_and_column(
+def test_an_invalid_cell_is_named_by_file_line_and_column(
     tmp_path: Path, keys: str, good: str, cell: str, says: str, bad: int
 ):
     cells = [good] * N
@@ -336,12 +336,12 @@ def test_a_wrong_cell_is_named_by_file_line_and_column(
         assert f"line {bad + 2}:" in message
 
 
-def test_lists_of_several_lengths(tmp_path: Path):
+def test_lists_of_different_lengths_are_rejected(tmp_path: Path):
     with pytest.raises(InputError, match="line 4: '\\[1, 0, 1\\]' is not a list of 4 numbers"):
         read_cells(tmp_path, ["[1, 0, 1, 1]"] * 2 + ["[1, 0, 1]"] * (N - 2), 'values = ["value"]')
 
 
-def test_an_entry_that_lists_do_not_have(tmp_path: Path):
+def test_an_entry_beyond_the_list_is_rejected(tmp_path: Path):
     values = 'values = ["value[0]", "value[1]", "value[2]", "value[4]"]'
     with pytest.raises(InputError, match=r"value has 4 entries, so there is no value\[4\]"):
         read_cells(tmp_path, ["[1, 0, 1, 1]"] * N, values)
@@ -404,20 +404,20 @@ def test_positions_of_a_puck_need_neither_times_nor_angles(tmp_path):
         (["", "0.01", "1e305"], "which no clock shows"),
     ],
 )
-def test_intervals_must_be_numbers_that_are_not_negative(tmp_path, steps, words):
+def test_negative_and_non_numeric_intervals_are_rejected(tmp_path, steps, words):
     file = camera(tmp_path, steps)
     with rejected(words):
         read_recording(file, mapping=mapping(tmp_path, PUCK), needs=("puck",))
 
 
-def test_intervals_have_a_unit(tmp_path):
+def test_intervals_need_a_unit(tmp_path):
     text = PUCK.replace('["cm"]', '["cm", "ms"]')
     file = camera(tmp_path, ["", "10", "2.5"])
     found = read_recording(file, mapping=mapping(tmp_path, text), needs=("puck",))
     assert found["puck"].stamp_ns.tolist() == [0, 10_000_000, 12_500_000]
 
 
-def test_a_file_of_a_puck_without_a_mapping_says_what_to_write(tmp_path):
+def test_a_puck_file_without_a_mapping_states_what_to_write(tmp_path):
     with pytest.raises(InputError, match=r"puck = \{time = .*position = .*\} out of x, y, dt"):
         read_recording(camera(tmp_path, ["0", "0.01"]), needs=("puck",))
 
@@ -427,7 +427,7 @@ def test_time_and_interval_exclude_each_other(tmp_path):
         mapping(tmp_path, '[pose]\ntime = "t"\ninterval = "dt"\n')
 
 
-def test_intervals_and_origin_serve_poses_of_a_craft_too(tmp_path):
+def test_intervals_and_origin_also_apply_to_poses_of_a_craft(tmp_path):
     x, y, yaw = POSES.T
     steps = np.full(N, 0.02)
     file = tmp_path / "mocap.csv"
@@ -442,7 +442,7 @@ def test_intervals_and_origin_serve_poses_of_a_craft_too(tmp_path):
 
 
 @pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "utf-16-be", "utf-8-sig"])
-def test_tables_in_the_encodings_of_spreadsheets(tmp_path: Path, encoding: str):
+def test_tables_in_spreadsheet_encodings_are_read(tmp_path: Path, encoding: str):
     folder(tmp_path)
     for name in ("mocap.csv", "motors.csv"):
         text = (tmp_path / name).read_text().replace(",", "\t")
@@ -462,13 +462,13 @@ def test_times_may_be_iso_dates(tmp_path: Path, between: str, end: str):
     assert recording["pose"].stamp_ns.tolist() == expected.tolist()
 
 
-def test_columns_without_a_name_are_passed_over(tmp_path: Path):
+def test_unnamed_columns_are_ignored(tmp_path: Path):
     text = mocap().replace("\n", ",,\n")
     assert_is_the_flight(read_recording(folder(tmp_path, text), mapping=mapping(tmp_path)))
 
 
 @pytest.mark.parametrize("lost", ["nan", "NaN", "", "null", "N/A"])
-def test_rows_without_a_position_or_without_an_orientation_are_left_out(tmp_path: Path, lost):
+def test_rows_without_position_or_orientation_are_ignored(tmp_path: Path, lost):
     rows = mocap().splitlines()
     for row, cells in ((5, (2, 3, 4)), (6, (2,)), (7, (4,))):
         fields = rows[row].split(",")
@@ -492,18 +492,18 @@ def test_rows_without_a_position_or_without_an_orientation_are_left_out(tmp_path
     ],
     ids=["decimal commas", "a last comma", "a comment", "a header of NumPy", "two headers"],
 )
-def test_forms_that_programs_write_are_read(tmp_path: Path, text: str):
+def test_notations_used_by_common_programs_are_read(tmp_path: Path, text: str):
     assert_is_the_flight(read_recording(folder(tmp_path, text), mapping=mapping(tmp_path)))
 
 
-def test_a_suffix_in_capitals_is_one_of_a_table(tmp_path: Path):
+def test_an_upper_case_suffix_is_recognised(tmp_path: Path):
     (tmp_path / "LOG.CSV").write_text(csv("t,m1,x", TIME, COMMANDS[:, 0], POSES[:, 0]))
     with pytest.raises(InputError, match="is a single CSV file"):
         read_recording(tmp_path / "LOG.CSV")
 
 
 @pytest.mark.parametrize("each", [2, 3])
-def test_poses_that_a_client_stamps_at_once_are_read(tmp_path: Path, each: int):
+def test_poses_stamped_simultaneously_by_a_client_are_read(tmp_path: Path, each: int):
     looks = 1e3 * (TIME[np.arange(N) // each * each] + 1.23e-3)
     recording = read_recording(
         folder(tmp_path, at_times([f"{look:.4f}" for look in looks])), mapping=mapping(tmp_path)
@@ -512,9 +512,7 @@ def test_poses_that_a_client_stamps_at_once_are_read(tmp_path: Path, each: int):
 
 
 @pytest.mark.parametrize("stated", ["rate_hz = 50", 'stamps = "exact"'])
-def test_a_mapping_that_states_what_stamps_are_overrides_the_check_of_their_digits(
-    tmp_path: Path, stated: str
-):
+def test_stated_stamps_override_the_check_of_their_digits(tmp_path: Path, stated: str):
     text = at_times([f"{1e3 * round(t, 1):.0f}" for t in TIME])
     with pytest.raises(InputError, match="lost digits"):
         read_recording(folder(tmp_path, text), mapping=mapping(tmp_path))
@@ -523,7 +521,7 @@ def test_a_mapping_that_states_what_stamps_are_overrides_the_check_of_their_digi
 
 
 @pytest.mark.filterwarnings("error")
-def test_dates_may_have_an_offset_from_universal_time(tmp_path: Path):
+def test_dates_may_have_a_utc_offset(tmp_path: Path):
     texts = ["2024-03-05T16:00:00.5+02:00", "2024-03-05T14:00:01Z"]
     found = CsvTable(tmp_path / "a.csv", {"t": texts}, [2, 3], ()).times("t", exact=True)
     since = found - np.datetime64("2024-03-05T14:00:00", "ns")
@@ -531,7 +529,7 @@ def test_dates_may_have_an_offset_from_universal_time(tmp_path: Path):
 
 
 @pytest.mark.parametrize(("text", "ends"), [("a", False), ("a\n", True), ("a\n\0", True)])
-def test_the_shortest_files_are_split_into_cells(tmp_path: Path, text: str, ends: bool):
+def test_even_the_shortest_files_are_split_into_cells(tmp_path: Path, text: str, ends: bool):
     (tmp_path / "a.csv").write_text(text)
     rows = read_rows(tmp_path / "a.csv")
     assert (rows.cells[0], rows.ends) == (["a"], ends)
@@ -552,7 +550,7 @@ def of_two_bodies(column: str, names: tuple[str, str], shift: float = 0.0) -> st
     ("column", "names"),
     [("body", ("wand", "puck")), ("thing", ("wand", "puck")), ("id", "12"), ("rb", "12")],
 )
-def test_a_body_of_a_table_is_chosen_by_its_name(tmp_path: Path, column: str, names, shift: float):
+def test_a_body_in_a_table_is_selected_by_name(tmp_path: Path, column: str, names, shift: float):
     text = of_two_bodies(column, names, shift)
     chosen = MAPPING.replace("[command]", f'body = "{names[1]}"\n[command]')
     recording = read_recording(folder(tmp_path, text), mapping=mapping(tmp_path, chosen))
@@ -569,7 +567,7 @@ def test_a_body_of_a_table_is_chosen_by_its_name(tmp_path: Path, column: str, na
             read_recording(tmp_path, mapping=mapping(tmp_path))
 
 
-def test_columns_that_count_or_change_state_name_no_bodies(tmp_path: Path):
+def test_counter_and_status_columns_do_not_name_bodies(tmp_path: Path):
     ids, states = [str(k) for k in range(N)], ["ok"] * 20 + ["moved"] * 30
     text = at_times([str(1e3 * t) for t in TIME], id=ids, label=states)
     assert_is_the_flight(read_recording(folder(tmp_path, text), mapping=mapping(tmp_path)))

@@ -6,7 +6,7 @@ from airpuck.boundary.errors import InputError
 from airpuck.recording.mapping import Topics, read_mapping
 
 
-def test_names_given_replace_the_defaults(tmp_path: Path):
+def test_given_names_replace_the_defaults(tmp_path: Path):
     (tmp_path / "t.toml").write_text('[topics]\npose = "/mocap/puck"\n')
     topics = read_mapping(tmp_path / "t.toml").topics
     assert topics.pose == "/mocap/puck"
@@ -16,7 +16,7 @@ def test_names_given_replace_the_defaults(tmp_path: Path):
     assert read_mapping(tmp_path / "t.toml").topics == Topics()
 
 
-def test_a_topic_is_required_once_it_is_named():
+def test_a_named_topic_is_required():
     assert not Topics().required("imu")
     assert Topics(imu="/drone/imu").required("imu")
     assert Topics().required("pose")
@@ -36,7 +36,7 @@ scale = 0.01
 """
 
 
-def test_a_whole_mapping(tmp_path: Path):
+def test_a_complete_mapping_is_read(tmp_path: Path):
     (tmp_path / "m.toml").write_text(WHOLE)
     found = read_mapping(tmp_path / "m.toml")
     assert found.topics.pose == "/vicon/pose"
@@ -57,7 +57,9 @@ def test_a_whole_mapping(tmp_path: Path):
         ('{ xzy = ["a", "b", "c"] }', "xzy", ("a", "b", "c")),
     ],
 )
-def test_orientations(tmp_path: Path, given: str, kind: str, columns: tuple[str, ...]):
+def test_every_notation_of_orientation_is_read(
+    tmp_path: Path, given: str, kind: str, columns: tuple[str, ...]
+):
     (tmp_path / "m.toml").write_text(f"[pose]\norientation = {given}\n")
     assert read_mapping(tmp_path / "m.toml").pose.orientation == (kind, columns)
 
@@ -98,7 +100,7 @@ def test_orientations(tmp_path: Path, given: str, kind: str, columns: tuple[str,
         ('[command]\nbits = [0, 1]\nvalues = ["a", "b"]', "a bit mask is one value"),
     ],
 )
-def test_mistakes(tmp_path: Path, text: str, says: str):
+def test_mistakes_are_reported_by_key(tmp_path: Path, text: str, says: str):
     (tmp_path / "m.toml").write_text(text)
     with pytest.raises(InputError, match=says):
         read_mapping(tmp_path / "m.toml")

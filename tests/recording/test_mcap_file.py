@@ -57,7 +57,7 @@ def complete(whole: Path) -> Recording:
     return read_recording(whole)
 
 
-def test_metadata_tells_what_is_missing(tmp_path: Path):
+def test_metadata_reveals_missing_messages(tmp_path: Path):
     made = flight()
     write_bag(made, tmp_path / "bag")
     whole = read_recording(tmp_path / "bag")
@@ -83,7 +83,7 @@ def test_metadata_tells_what_is_missing(tmp_path: Path):
     assert "missing" not in without.warnings[0]
 
 
-def test_a_damaged_chunk_inside_costs_only_itself(tmp_path: Path, whole: Path, complete):
+def test_a_damaged_chunk_loses_only_its_own_messages(tmp_path: Path, whole: Path, complete):
     lost = chunks_of(whole)[4]
     recording = damaged(tmp_path / "damaged.mcap", whole, lost)
     received = complete["pose"].received_ns
@@ -95,16 +95,14 @@ def test_a_damaged_chunk_inside_costs_only_itself(tmp_path: Path, whole: Path, c
     assert "cut short" not in recording.warnings[0]
 
 
-def test_the_warning_gives_the_time_from_the_first_damaged_chunk_to_the_last(
-    tmp_path: Path, whole: Path
-):
+def test_the_warning_covers_the_first_to_the_last_damaged_chunk(tmp_path: Path, whole: Path):
     first, last = chunks_of(whole)[2:6:3]
     recording = damaged(tmp_path / "damaged.mcap", whole, first, last)
     seconds = (last.message_end_time - first.message_start_time) / 1e9
     assert f"2 damaged chunks within {seconds:.3f} s left out" in recording.warnings[0]
 
 
-def test_a_wrong_checksum_is_noticed(tmp_path: Path):
+def test_a_wrong_checksum_is_detected(tmp_path: Path):
     from mcap.writer import CompressionType
 
     path = write_mcap(
@@ -126,7 +124,7 @@ def test_a_wrong_checksum_is_noticed(tmp_path: Path):
     )
 
 
-def test_messages_without_chunks_are_salvaged_one_by_one(tmp_path: Path):
+def test_messages_outside_chunks_are_recovered_one_by_one(tmp_path: Path):
     path = write_mcap(tmp_path / "a.mcap", foreign_topics(), use_chunking=False)
     whole = read_recording(path)
     content = path.read_bytes()
@@ -137,8 +135,7 @@ def test_messages_without_chunks_are_salvaged_one_by_one(tmp_path: Path):
     assert recording.warnings
 
 
-def test_messages_that_the_recorder_wrote_late(tmp_path: Path, complete: Recording):
-    """They are ordered as by readers of whole files."""
+def test_late_messages_are_ordered_as_in_other_readers(tmp_path: Path, complete: Recording):
     topics = foreign_topics()
     messages = topics["/optitrack/drone/pose"][2]
     messages[10], messages[30] = messages[30], messages[10]
@@ -161,7 +158,7 @@ def test_other_topics_are_counted_but_not_kept(whole: Path):
     }
 
 
-def test_only_the_last_file_of_a_split_bag_is_cut(tmp_path: Path):
+def test_only_the_last_file_of_a_split_bag_is_truncated(tmp_path: Path):
     topics = foreign_topics()
     half = START_NS + 2 * 10**9
     for index, keep in enumerate((lambda time: time < half, lambda time: time >= half)):
@@ -195,7 +192,7 @@ def read_damaged(content: bytes) -> Recording | None:
 
 @examples(150)
 @given(data=st.data())
-def test_every_whole_chunk_before_a_cut_is_there(
+def test_every_complete_chunk_before_a_truncation_is_read(
     whole: Path, complete: Recording, data: st.DataObject
 ):
     content, chunks = whole.read_bytes(), chunks_of(whole)
@@ -222,5 +219,5 @@ def test_every_whole_chunk_before_a_cut_is_there(
 
 @examples(100)
 @given(junk=st.binary(max_size=400))
-def test_junk_after_the_magic(junk: bytes):
+def test_junk_after_the_magic_is_rejected(junk: bytes):
     assert read_damaged(b"\x89MCAP0\r\n" + junk) is None

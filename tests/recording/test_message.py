@@ -21,7 +21,7 @@ CODECS = {name: StreamCodec(name) for name in ("pose", "reference", "estimate", 
 @pytest.mark.parametrize("stream", CODECS)
 @given(data=st.data())
 @examples(20)
-def test_streams_come_back(stream, data):
+def test_streams_round_trip(stream, data):
     codec = CODECS[stream]
     values = data.draw(st.lists(NUMBERS, min_size=len(codec.columns), max_size=len(codec.columns)))
     if stream == "pose":
@@ -32,7 +32,7 @@ def test_streams_come_back(stream, data):
     np.testing.assert_allclose(decoded, values, rtol=0, atol=1e-14)
 
 
-def test_a_command_on_the_wire():
+def test_a_command_has_the_expected_bytes():
     codec = StreamCodec("command", HOLOHOVER_MOTORS)
     assert codec.msgtype == HOLOHOVER_CONTROL
     command = np.array([0.03, 0.5, 1.0, 0.25, 0.0, 0.75])
@@ -50,13 +50,13 @@ def test_a_command_on_the_wire():
     [lambda m: m[:-8], lambda m: m + bytes(16), lambda m: b"", lambda m: b"\xff" * len(m)],
     ids=["cut", "too long", "empty", "noise"],
 )
-def test_what_is_no_message_is_a_value_error(damage):
+def test_malformed_messages_raise_value_error(damage):
     codec = StreamCodec("pose")
     with pytest.raises(ValueError, match="are not a valid geometry_msgs/msg/PoseStamped"):
         codec.decode(damage(codec.encode(0, (1.0, 2.0, 3.0))))
 
 
-def test_messages_with_sequences():
+def test_messages_with_sequences_round_trip():
     codec = MessageCodec("diagnostic_msgs/msg/DiagnosticArray")
     message = codec.message()
     value = codec.message("diagnostic_msgs/msg/KeyValue", key="jitter", value="0.2 ms")
@@ -68,19 +68,19 @@ def test_messages_with_sequences():
     assert (status.values[0].key, status.values[0].value) == ("jitter", "0.2 ms")
 
 
-def test_a_type_that_nobody_knows_is_a_value_error():
+def test_an_unknown_type_raises_value_error():
     with pytest.raises(ValueError, match="nobody_msgs/msg/Thing is missing"):
         MessageCodec("nobody_msgs/msg/Thing")
 
 
 @pytest.mark.parametrize("kind", ["string", "std_msgs/Header"])
-def test_arrays_that_would_become_code_line_by_line_are_refused(kind):
+def test_arrays_that_would_expand_into_code_are_rejected(kind):
     assert definitions("a/msg/B", f"{kind}[9] names") and definitions("a/msg/B", "float64[9999] x")
     with pytest.raises(ValueError, match="is defined with more than 2,000 elements"):
         definitions("a/msg/B", f"{kind}[1001] names")
 
 
-def test_a_type_with_thousands_of_fields_is_refused():
+def test_a_type_with_thousands_of_fields_is_rejected():
     fields = [f"float64 a{k}\n" for k in range(2001)]
     assert definitions("a/msg/B", "".join(fields[:1900]))
     with pytest.raises(ValueError, match="is defined with more than 2,000 elements"):

@@ -123,7 +123,7 @@ def assert_is_the_motion(recording, *, kept=slice(None), shift: float = 0.0, off
 
 @pytest.mark.parametrize("labels", [False, True])
 @pytest.mark.parametrize("unit", ["Meters", "Centimeters", "Millimeters"])
-def test_motive(tmp_path: Path, unit: str, labels: bool):
+def test_a_motive_export_is_read(tmp_path: Path, unit: str, labels: bool):
     found = read(tmp_path, "take.csv", motive(unit=unit, labels=labels))
     assert_is_the_motion(found)
     assert found.warnings == ()
@@ -131,11 +131,11 @@ def test_motive(tmp_path: Path, unit: str, labels: bool):
 
 
 @pytest.mark.parametrize("order", ["".join(order) for order in permutations("XYZ")])
-def test_motive_with_euler_angles(tmp_path: Path, order: str):
+def test_a_motive_export_with_euler_angles_is_read(tmp_path: Path, order: str):
     assert_is_the_motion(read(tmp_path, "take.csv", motive(rotation=order)), off=1e-7)
 
 
-def test_frames_in_which_the_body_was_lost(tmp_path: Path):
+def test_frames_without_the_body_are_skipped(tmp_path: Path):
     lost = (0, 7, 8, 39)
     kept = np.delete(np.arange(N), lost)
     found = read(tmp_path, "take.csv", motive(lost=lost))
@@ -162,7 +162,7 @@ def test_several_rigid_bodies_are_named(tmp_path: Path, name: str, write):
         read(tmp_path, name, text, body="rink")
 
 
-def test_the_mapping_overrules_what_an_export_says(tmp_path: Path):
+def test_the_mapping_overrides_the_export(tmp_path: Path):
     # Exported with z up, which is an option; Motive's header does not state it.
     keys = {"axes": "Z-up", "units": ("cm",), "start_s": 5.0}
     found = read(tmp_path, "take.csv", motive(unit="Meters"), **keys)
@@ -172,7 +172,7 @@ def test_the_mapping_overrules_what_an_export_says(tmp_path: Path):
     assert pose.stamp_ns[0] == 5 * 10**9
 
 
-def test_the_export_itself_may_be_given(tmp_path: Path):
+def test_the_export_file_itself_may_be_given(tmp_path: Path):
     (tmp_path / "take.csv").write_text(motive())
     (tmp_path / "motors.csv").write_text(COMMANDS)
     found = read_recording(tmp_path / "take.csv", mapping=RecordingMapping(command=COMMAND))
@@ -185,14 +185,14 @@ def cut(text: str, line: int) -> str:
     return "\n".join(text.splitlines()[:line]) + "\n"
 
 
-def test_a_last_line_that_is_cut(tmp_path: Path):
+def test_an_incomplete_last_line_is_ignored(tmp_path: Path):
     found = read(tmp_path, "take.csv", motive()[:-30])
     assert_is_the_motion(found, kept=np.arange(N - 1))
     assert "cut short" in found.warnings[0]
 
 
 @pytest.mark.parametrize("write", [motive, qualisys])
-def test_no_byte_makes_it_fail_in_another_way(tmp_path: Path, write):
+def test_damaged_exports_are_read_or_rejected_in_one_line(tmp_path: Path, write):
     text = write()
     rng = np.random.default_rng(4)
     for _ in range(150):
@@ -251,14 +251,14 @@ def test_vicon_exports_are_read(tmp_path: Path, made, pose):
     assert poses.values == pytest.approx(POSES, abs=1e-6)
 
 
-def test_other_parts_of_a_vicon_export_are_passed_over(tmp_path: Path):
+def test_other_sections_of_a_vicon_export_are_ignored(tmp_path: Path):
     more = "\nTrajectories\n100\n,,puck:one,,\nFrame,Sub Frame,X,Y,Z\n,,mm,mm,mm\n1,0,1,2,3\n"
     recording = read(tmp_path, "take.csv", vicon(lost=(3, 4)) + more)
     assert recording["pose"].values == pytest.approx(np.delete(POSES, [3, 4], axis=0), abs=1e-6)
     assert recording.warnings == ("blank poses left out: 2",)
 
 
-def test_rotations_of_a_vicon_export_that_reach_far_are_not_taken_for_another_order(tmp_path: Path):
+def test_large_rotations_in_a_vicon_export_keep_their_order(tmp_path: Path):
     tilted = vicon().replace("RX", "RU").replace("RZ", "RX").replace("RU", "RZ")
     poses = read(tmp_path, "take.csv", tilted)["pose"].values
     vectors = ROTATION.as_rotvec()[:, ::-1]
@@ -297,6 +297,6 @@ def test_rotations_of_a_vicon_export_that_reach_far_are_not_taken_for_another_or
         ("Objects\n", {}, "has no row Frame, Sub Frame"),
     ],
 )
-def test_what_is_wrong_is_said_in_one_line(tmp_path: Path, text: str, pose, says: str):
+def test_errors_end_in_one_line(tmp_path: Path, text: str, pose, says: str):
     with rejected(str(tmp_path / "take.csv"), match=says):
         read(tmp_path, "take.csv", text, **pose)

@@ -77,7 +77,7 @@ def topic(name, text, make, count):
         (("px4_msgs/msg/VehicleLocalPosition", LOCAL), local),
     ],
 )
-def test_px4_needs_topics_alone(tmp_path, pose, make):
+def test_px4_recordings_need_only_topic_names(tmp_path, pose, make):
     topics = {
         "/fmu/in/vehicle_mocap_odometry": topic(*pose, make, 200),
         "/fmu/out/actuator_motors": topic("px4_msgs/msg/ActuatorMotors", MOTORS, motors, 80),
@@ -97,7 +97,7 @@ def test_px4_needs_topics_alone(tmp_path, pose, make):
     assert command.stamp_ns[3] == 30_900_000
 
 
-def test_an_entry_that_is_not_there_is_named(tmp_path):
+def test_a_missing_entry_is_named(tmp_path):
     topics = {
         "/p": topic("px4_msgs/msg/VehicleOdometry", ODOMETRY, odometry, 20),
         "/c": topic("px4_msgs/msg/ActuatorMotors", MOTORS, motors, 20),
@@ -137,7 +137,7 @@ FREE_FLYER = {
 }
 
 
-def test_the_free_flyer_s_switches_duties_and_poses(tmp_path):
+def test_switches_duties_and_poses_of_the_free_flyer_are_read(tmp_path):
     switches = DUTIES > 0.5
     switched = stamped("ThrusterCommand", "bool[8] switches", lambda k: [switches[k]], 80)
     for control, expected in ((FREE_FLYER["/drone/control"], DUTIES), (switched, switches)):
@@ -157,7 +157,7 @@ def free_flyer(folder, wheel_field="float64 velocity", velocity=lambda k: 30.0 *
     return path, read_mapping(folder / "m.toml")
 
 
-def test_the_free_flyer_s_wheel_has_a_topic_of_its_own(tmp_path):
+def test_the_free_flyers_wheel_has_its_own_topic(tmp_path):
     path, mapping = free_flyer(tmp_path)
     recording = read_recording(path, mapping=mapping)
     command = recording["command"]
@@ -190,7 +190,7 @@ commanded = "speed"
         {"wheels": 0},
     ],
 )
-def test_a_damaged_topic_of_a_wheel_ends_in_one_line(tmp_path, damage):
+def test_a_damaged_wheel_topic_ends_in_one_line(tmp_path, damage):
     plain = (EXAMPLES / "free_flyers" / "freeflyer2.toml").read_text()
     (tmp_path / "craft.toml").write_text(plain.replace("[nominal]", f"{WHEEL}\n[nominal]"))
     vehicle = read_vehicle(tmp_path / "craft.toml")

@@ -19,7 +19,7 @@ def bag(tmp_path: Path) -> Path:
     return tmp_path / "bag"
 
 
-def test_a_folder_stands_for_the_only_recording_inside(tmp_path: Path, bag: Path):
+def test_a_folder_with_one_recording_stands_for_it(tmp_path: Path, bag: Path):
     (tmp_path / "plots").mkdir()
     (tmp_path / "data.pt").write_bytes(b"preprocessed")
     recording = read_recording(tmp_path)
@@ -27,13 +27,13 @@ def test_a_folder_stands_for_the_only_recording_inside(tmp_path: Path, bag: Path
     assert recording.streams == read_recording(bag).streams
 
 
-def test_several_recordings_are_not_guessed_at(tmp_path: Path, bag: Path):
+def test_several_recordings_are_reported_instead_of_guessed(tmp_path: Path, bag: Path):
     write_csv(flight(), tmp_path / "csv")
     with pytest.raises(InputError, match="contains several recordings; choose one of bag, csv"):
         read_recording(tmp_path)
 
 
-def test_a_bag_comes_before_the_csv_files_made_from_it(tmp_path: Path, bag: Path):
+def test_a_bag_takes_precedence_over_csv_files_made_from_it(tmp_path: Path, bag: Path):
     made = flight()
     write_csv(Recording({"pose": made["pose"], "command": made["command"]}, ""), tmp_path / "csv")
     for file in (tmp_path / "csv").iterdir():
@@ -41,13 +41,13 @@ def test_a_bag_comes_before_the_csv_files_made_from_it(tmp_path: Path, bag: Path
     assert set(read_recording(bag).streams) == set(made.streams)
 
 
-def test_metadata_without_its_storage_file(bag: Path):
+def test_metadata_without_its_storage_file_is_reported(bag: Path):
     (bag / "bag_0.mcap").unlink()
     with pytest.raises(InputError, match="storage file is missing"):
         read_recording(bag)
 
 
-def test_csv_files_beside_metadata_of_a_bag_that_is_elsewhere(tmp_path: Path, bag: Path):
+def test_csv_files_are_read_beside_metadata_of_an_absent_bag(tmp_path: Path, bag: Path):
     write_csv(flight(), tmp_path / "csv")
     shutil.copy(bag / "metadata.yaml", tmp_path / "csv")
     recording = read_recording(tmp_path / "csv")
@@ -67,7 +67,7 @@ def test_csv_files_beside_metadata_of_a_bag_that_is_elsewhere(tmp_path: Path, ba
         ("pipe", "not a regular file"),
     ],
 )
-def test_what_is_no_recording(tmp_path: Path, name: str, says: str):
+def test_files_that_are_not_recordings_are_rejected(tmp_path: Path, name: str, says: str):
     (tmp_path / "empty").mkdir()
     for file in ("file.csv", "traj.npz", "data.pt", "notes.txt"):
         (tmp_path / file).write_text("1,2\n")

@@ -13,7 +13,7 @@ from ..apparatus.bags import ROS1_COMMANDS, ROS1_POSES, SIX, START_NS, ros1_bag
 
 
 @pytest.mark.parametrize("compression", [None, *Writer.CompressionFormat])
-def test_poses_and_commands_are_those_ros1_bag(tmp_path, compression):
+def test_poses_and_commands_of_a_ros1_bag_are_read(tmp_path, compression):
     recording = read_recording(ros1_bag(tmp_path / "a.bag", compression))
     assert recording.warnings == ()
     pose, command = recording["pose"], recording["command"]
@@ -24,7 +24,7 @@ def test_poses_and_commands_are_those_ros1_bag(tmp_path, compression):
     assert pose.received_ns[7] == START_NS + 7 * 4_166_667 + 10**6
 
 
-def test_a_bag_cut_short_gives_what_is_intact(tmp_path):
+def test_the_intact_part_of_a_truncated_bag_is_read(tmp_path):
     path = ros1_bag(tmp_path / "a.bag")
     path.write_bytes(path.read_bytes()[:20_000])
     recording = read_recording(path)
@@ -34,7 +34,7 @@ def test_a_bag_cut_short_gives_what_is_intact(tmp_path):
     assert "cut short after 20000 bytes" in recording.warnings[0]
 
 
-def test_a_damaged_chunk_costs_no_other(tmp_path):
+def test_a_damaged_chunk_affects_no_other(tmp_path):
     path = ros1_bag(tmp_path / "a.bag", Writer.CompressionFormat.BZ2)
     content = bytearray(path.read_bytes())
     second = content.find(b"BZh", content.find(b"BZh") + 1)
@@ -77,7 +77,7 @@ INDEX = record({"op": b"\x04"}, bytes(8_000_000))
         (lambda: b"\xff" * 100, "cut short"),
     ],
 )
-def test_a_hostile_bag_is_refused_in_one_line(tmp_path, body, says):
+def test_a_hostile_bag_is_rejected_in_one_line(tmp_path, body, says):
     path = tmp_path / "a.bag"
     path.write_bytes(b"#ROSBAG V2.0\n" + body())
     with pytest.raises(InputError, match=says) as caught:

@@ -55,7 +55,7 @@ def test_messages_in_the_write_ahead_log_are_read(tmp_path: Path, whole: Path, s
     assert {file.name: file.read_bytes() for file in folder.iterdir()} == before
 
 
-def test_a_damaged_write_ahead_log_costs_only_its_messages(tmp_path: Path, whole: Path):
+def test_a_damaged_write_ahead_log_loses_only_its_messages(tmp_path: Path, whole: Path):
     folder = unfinished(whole, tmp_path / "bag", saved=4)
     journal = folder / "flight_0.db3-wal"
     for content in (b"x" * 10_000, journal.read_bytes()[:100], bytes(journal.stat().st_size)):
@@ -64,7 +64,7 @@ def test_a_damaged_write_ahead_log_costs_only_its_messages(tmp_path: Path, whole
         assert 1 <= len(recording["pose"]) <= 4
 
 
-def test_a_half_written_transaction_is_undone(tmp_path: Path, whole: Path):
+def test_an_incomplete_transaction_is_rolled_back(tmp_path: Path, whole: Path):
     original = read_recording(whole)
     live = whole.with_name("live.db3")
     shutil.copy(whole, live)
@@ -77,7 +77,7 @@ def test_a_half_written_transaction_is_undone(tmp_path: Path, whole: Path):
     assert read_recording(folder).streams == original.streams
 
 
-def test_of_a_type_with_two_definitions_the_topics_hash_chooses_one(tmp_path: Path, whole: Path):
+def test_the_hash_of_a_topic_selects_one_of_two_definitions(tmp_path: Path, whole: Path):
     original = read_recording(whole)["command"]
     with sqlite3.connect(whole) as database:
         (text, digest) = database.execute(
@@ -99,7 +99,7 @@ def test_of_a_type_with_two_definitions_the_topics_hash_chooses_one(tmp_path: Pa
         read_recording(whole)
 
 
-def test_messages_in_another_format_are_refused_by_its_name(whole: Path):
+def test_an_unknown_message_format_is_rejected_by_name(whole: Path):
     with sqlite3.connect(whole) as database:
         database.execute("UPDATE topics SET serialization_format = 'protobuf'")
     with pytest.raises(InputError, match="encoded as protobuf"):

@@ -8,7 +8,7 @@ POSES = np.column_stack([0.1 * TIME, -0.2 * TIME, 3 * TIME])
 COMMANDS = np.random.default_rng(1).uniform(0, 1, (10, 4))
 
 
-def test_from_arrays():
+def test_arrays_become_a_recording():
     recording = Recording.from_arrays(TIME, POSES, TIME[::2], COMMANDS, propellers=list("abcd"))
     assert np.array_equal(recording["pose"].values, POSES)
     assert recording["pose"].stamp_ns.tolist() == [10**7 * k for k in range(20)]
@@ -17,14 +17,14 @@ def test_from_arrays():
     assert recording.warnings == ()
 
 
-def test_lists_and_whole_numbers_will_do():
+def test_lists_and_integers_are_accepted():
     recording = Recording.from_arrays([0, 1], [[0, 0, 0], [1, 2, 3]], [0, 1], [[0, 1], [1, 0]])
     assert recording["pose"].values.tolist() == [[0, 0, 0], [1, 2, 3]]
     assert recording["command"].stamp_ns.tolist() == [0, 10**9]
     assert recording["command"].columns == ("value_1", "value_2")
 
 
-def test_quaternions_units_axes_and_scale():
+def test_quaternions_units_axes_and_scale_are_applied():
     half = POSES[:, 2] / 2
     none = np.zeros(20)
     poses = np.column_stack(
@@ -38,7 +38,7 @@ def test_quaternions_units_axes_and_scale():
     np.testing.assert_allclose(found["command"].values, COMMANDS, rtol=1e-14)
 
 
-def test_columns_of_a_data_frame():
+def test_columns_of_a_data_frame_are_accepted():
     pandas = pytest.importorskip("pandas")
     log = pandas.DataFrame(POSES, columns=["x", "y", "yaw"])
     log["when"] = pandas.Timestamp("2024-03-05 16:12:50.123456789") + pandas.to_timedelta(TIME, "s")
@@ -53,7 +53,7 @@ def test_columns_of_a_data_frame():
     assert found.warnings == ("blank commands left out: 10",)
 
 
-def test_rows_of_nan_are_no_measurements():
+def test_rows_of_nan_are_dropped():
     poses = POSES.copy()
     poses[[3, 4, 11]] = np.nan
     poses[6, 1] = np.nan
@@ -77,18 +77,18 @@ def test_rows_of_nan_are_no_measurements():
         ((TIME + 1.7e18, POSES, TIME[::2], COMMANDS), "which no clock shows"),
     ],
 )
-def test_arrays_that_do_not_fit(arrays, says: str):
+def test_inconsistent_arrays_are_rejected(arrays, says: str):
     with pytest.raises(InputError, match=says) as caught:
         Recording.from_arrays(*arrays, source="my log")
     assert str(caught.value).startswith("my log: ")
 
 
-def test_propellers_that_do_not_fit():
+def test_inconsistent_propellers_are_rejected():
     with pytest.raises(InputError, match="names 2 propellers for 4 values"):
         Recording.from_arrays(TIME, POSES, TIME[::2], COMMANDS, propellers=("a", "b"))
 
 
-def test_a_stream_has_times_rows_and_a_table_and_a_recording_names_its_streams():
+def test_streams_are_iterable_and_convert_to_tables():
     recording = Recording.from_arrays(TIME, POSES, TIME[::2], COMMANDS)
     poses = recording["pose"]
     np.testing.assert_allclose(poses.time, TIME, atol=1e-12)

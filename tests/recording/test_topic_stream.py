@@ -114,7 +114,7 @@ def mapping(body: str = "", **more) -> RecordingMapping:
 
 
 @pytest.mark.parametrize("form", FORMS)
-def test_one_of_several_bodies_is_chosen_by_its_name(tmp_path: Path, form: str):
+def test_one_of_several_bodies_is_selected_by_name(tmp_path: Path, form: str):
     path = bag(tmp_path, form)
     recording = read_recording(path, mapping=mapping("craft"))
     assert recording["pose"].values == pytest.approx(POSES, abs=1e-12)
@@ -126,7 +126,7 @@ def test_one_of_several_bodies_is_chosen_by_its_name(tmp_path: Path, form: str):
 
 
 @pytest.mark.parametrize("form", FORMS)
-def test_several_bodies_are_listed_unless_one_is_chosen(tmp_path: Path, form: str):
+def test_several_bodies_are_listed_unless_one_is_selected(tmp_path: Path, form: str):
     path, listed = bag(tmp_path, form), "rigid bodies wand, craft, ball of the game; choose one"
     with pytest.raises(InputError, match=f"/bodies: contains the {listed}"):
         read_recording(path, mapping=mapping())
@@ -144,7 +144,7 @@ def test_poses_of_a_single_body_need_no_name(tmp_path: Path):
     assert recording["pose"].values == pytest.approx(POSES, abs=1e-12)
 
 
-def test_a_body_is_refused_where_messages_name_none(tmp_path: Path):
+def test_a_body_name_is_rejected_if_messages_contain_none(tmp_path: Path):
     path = write_mcap(tmp_path / "a.mcap", foreign_topics())
     named = RecordingMapping(pose=PoseMapping(body="craft"))
     with pytest.raises(InputError, match=r"pose\.body: names no rigid bodies; leave out body"):
@@ -160,6 +160,6 @@ def test_the_first_text_of_an_entry_is_its_name():
     assert found.pose[0] == "pose.position.x"
 
 
-def test_two_streams_of_one_topic_need_two_bodies():
+def test_two_streams_of_one_topic_need_different_bodies():
     with pytest.raises(InputError, match="/bodies is named for two streams; name a body for each"):
         RecordingMapping(topics=Topics(pose="/bodies", puck="/bodies"))

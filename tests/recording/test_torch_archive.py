@@ -25,7 +25,7 @@ from ..apparatus.torch_archives import (
 )
 
 
-def test_a_good_archive(tmp_path: Path):
+def test_a_valid_archive_is_read(tmp_path: Path):
     arrays = good_arrays()
     trajectory = read_authors_experiment(archive(tmp_path / "data.pt", arrays))
     assert np.array_equal(trajectory.time, arrays["T"])
@@ -40,12 +40,12 @@ def test_a_good_archive(tmp_path: Path):
     assert trajectory.source == str(tmp_path / "data.pt")
 
 
-def test_the_folder_stands_for_its_file(tmp_path: Path):
+def test_a_folder_stands_for_its_file(tmp_path: Path):
     archive(tmp_path / "data.pt")
     assert len(read_authors_experiment(tmp_path)) == 50
 
 
-def test_wrapped_yaw_is_unwrapped_and_other_yaw_left_alone(tmp_path: Path):
+def test_wrapped_yaw_is_unwrapped_and_other_yaw_unchanged(tmp_path: Path):
     arrays = good_arrays()
     yaw = np.linspace(3, 9, 50)
     arrays["X"][:, 2] = np.arctan2(np.sin(yaw), np.cos(yaw))
@@ -53,7 +53,7 @@ def test_wrapped_yaw_is_unwrapped_and_other_yaw_left_alone(tmp_path: Path):
     assert state[:, 2] == pytest.approx(yaw, abs=1e-12)
 
 
-def test_strides_and_offsets(tmp_path: Path):
+def test_strides_and_offsets_are_respected(tmp_path: Path):
     arrays = good_arrays()
     n = 50
     stored = {**arrays, "X": np.concatenate([[np.nan] * 7, arrays["X"].T.ravel()])}
@@ -62,7 +62,7 @@ def test_strides_and_offsets(tmp_path: Path):
     assert np.array_equal(read_authors_experiment(path).state, arrays["X"])
 
 
-def test_big_endian_storages(tmp_path: Path):
+def test_big_endian_storages_are_read(tmp_path: Path):
     arrays = good_arrays()
     members = {
         f"data/data/{index}": array.astype(">f8").tobytes()
@@ -72,7 +72,7 @@ def test_big_endian_storages(tmp_path: Path):
     assert np.array_equal(read_authors_experiment(path).state, arrays["X"])
 
 
-def test_several_experiments_are_chosen_by_name(tmp_path: Path):
+def test_several_experiments_are_selected_by_name(tmp_path: Path):
     path = archive(tmp_path / "data.pt", names=("first", "second"))
     with pytest.raises(InputError, match=r"contains 2 experiments.*\(first, second\)"):
         read_authors_experiment(path)
@@ -125,13 +125,13 @@ def changed(key: str, change) -> dict[str, np.ndarray]:
         ({"data_pickle": b"cos\nsystem\n" + text("true") + b"\x85R."}, "os.system"),
     ],
 )
-def test_what_is_wrong_is_one_clear_line(tmp_path: Path, options: dict, says: str):
+def test_errors_are_one_clear_line(tmp_path: Path, options: dict, says: str):
     path = archive(tmp_path / "data.pt", **options)
     with rejected(path, match=says):
         read_authors_experiment(path)
 
 
-def test_tensors_of_different_experiments(tmp_path: Path):
+def test_tensors_of_different_experiments_are_rejected(tmp_path: Path):
     parts = {
         key: tensor(str(i), a.size, a.shape) for i, (key, a) in enumerate(good_arrays().items())
     }
@@ -155,14 +155,14 @@ def test_a_zip_bomb_is_not_unpacked(tmp_path: Path):
 
 
 @pytest.mark.parametrize("content", [b"", b"PK\x03\x04", b"\0" * 500, pickle.dumps({"T": 1})])
-def test_what_is_no_archive(tmp_path: Path, content: bytes):
+def test_a_file_that_is_not_an_archive_is_rejected(tmp_path: Path, content: bytes):
     path = tmp_path / "data.pt"
     path.write_bytes(content)
     with pytest.raises(InputError, match="not a readable torch file"):
         read_authors_experiment(path)
 
 
-def test_no_such_file(tmp_path: Path):
+def test_a_missing_file_is_reported(tmp_path: Path):
     for path in (tmp_path / "data.pt", tmp_path):
         with pytest.raises(InputError, match="no such file"):
             read_authors_experiment(path)
@@ -176,7 +176,7 @@ def test_no_such_file(tmp_path: Path):
         ("2024_03_05-16_12_50_sysid_h1_blue", 14549),
     ],
 )
-def test_the_authors_files(experiments: Path, name: str, n: int):
+def test_the_authors_files_are_read(experiments: Path, name: str, n: int):
     path = experiments / name / "data.pt"
     trajectory = read_authors_experiment(path)
     with zipfile.ZipFile(path) as members:
@@ -209,7 +209,7 @@ class Calls:
 
 
 @pytest.mark.parametrize("protocol", [2, 4])
-def test_plain_dictionaries(protocol: int):
+def test_plain_dictionaries_are_read(protocol: int):
     content = {"a": {"b": 1, "c": "text"}, "d": (1, 2, 3, 4), "e": None, "f": (True, 70000)}
     assert read_inert(pickle.dumps(content, protocol)) == content
 
@@ -232,7 +232,7 @@ HOSTILE = {
 
 @pytest.mark.parametrize("protocol", [0, 1, 2, 3, 4, 5])
 @pytest.mark.parametrize("name", HOSTILE)
-def test_anything_else_is_refused_and_not_run(name: str, protocol: int):
+def test_other_pickles_are_rejected_and_not_executed(name: str, protocol: int):
     data = pickle.dumps(HOSTILE[name], protocol)
     with pytest.raises(Refused):
         read_inert(data)
@@ -240,7 +240,7 @@ def test_anything_else_is_refused_and_not_run(name: str, protocol: int):
     assert not REACHED.exists()
 
 
-def test_the_hostile_ones_would_run_elsewhere():
+def test_the_hostile_pickles_would_execute_in_plain_pickle():
     pickle.loads(pickle.dumps(HOSTILE["our own function"]))
     assert executed == ["reached"]
     executed.clear()
@@ -284,7 +284,7 @@ def test_the_hostile_ones_would_run_elsewhere():
         (b"\x80\x02" + b"}0" * 60000 + b".", "longer"),
     ],
 )
-def test_what_is_refused_says_why(data: bytes, says: str):
+def test_rejected_pickles_state_the_reason(data: bytes, says: str):
     with pytest.raises(Refused, match=says) as caught:
         read_inert(data)
     assert str(caught.value).isprintable()
@@ -293,7 +293,7 @@ def test_what_is_refused_says_why(data: bytes, says: str):
 @pytest.mark.parametrize(
     "target", [b"cnumpy\ndtype\n", b"c_codecs\nencode\n", b"cnumpy\ndtype\n)R", b"}"]
 )
-def test_nothing_can_be_filled(target: bytes):
+def test_attributes_cannot_be_set(target: bytes):
     """BUILD sets attributes of the object on the stack; it must not reach our functions."""
     fill = dictionary({"__doc__": text("hostile"), "__defaults__": b"(K\x01t"})
     for state in (fill, b"N" + fill + b"\x86"):
@@ -327,7 +327,7 @@ def test_nothing_can_be_filled(target: bytes):
     ],
     ids=range(10),
 )  # fmt: skip
-def test_no_pickle_takes_memory_or_time(tmp_path: Path, data: bytes):
+def test_no_pickle_consumes_memory_or_time(tmp_path: Path, data: bytes):
     path = archive(tmp_path / "data.pt", data_pickle=data)
     tracemalloc.start()
     start = time.process_time()
@@ -341,7 +341,7 @@ def test_no_pickle_takes_memory_or_time(tmp_path: Path, data: bytes):
 
 @examples(300)
 @given(st.binary(max_size=60))
-def test_junk_is_refused_or_plain(junk: bytes):
+def test_junk_is_rejected_or_plain_data(junk: bytes):
     try:
         read_inert(junk)
     except Refused as refusal:
@@ -350,7 +350,7 @@ def test_junk_is_refused_or_plain(junk: bytes):
 
 @examples(300)
 @given(data=st.data())
-def test_changed_pickles_are_refused_or_plain(data: st.DataObject):
+def test_modified_pickles_are_rejected_or_plain_data(data: st.DataObject):
     content = bytearray(pickle.dumps({"T": {"x": (1, 2)}, "X": {"y": "text"}}, 2))
     for _ in range(data.draw(st.integers(1, 5))):
         content[data.draw(st.integers(0, len(content) - 1))] = data.draw(st.integers(0, 255))

@@ -22,7 +22,7 @@ def test_motion_capture_and_motors_are_found(tmp_path):
     assert command.stamp_ns[3] == 30_050_000
 
 
-def test_a_mapping_names_other_topics(tmp_path):
+def test_a_mapping_may_name_other_topics(tmp_path):
     heading = [struct.pack("<QQ4f", 10_000 * k, 10_000 * k, 0.1 * k, 0, 0, 0.5) for k in range(9)]
     fields = "uint64_t timestamp;uint64_t timestamp_sample;float x;float y;float z;float heading;"
     motors = [struct.pack("<Q2f", 10_000 * k, 0.25, 0.5) for k in range(9)]
@@ -54,14 +54,14 @@ def test_a_mapping_names_other_topics(tmp_path):
         "a[900] a;a[900] b;",
     ],
 )
-def test_formats_that_unroll_to_too_much_are_refused(tmp_path, fields):
+def test_formats_that_expand_too_far_are_rejected(tmp_path, fields):
     path = write_ulog(tmp_path / "a.ulg", {"a": (fields, [])})
     with pytest.raises(InputError, match="too many fields"):
         read_recording(path)
 
 
 @pytest.mark.parametrize("length", [57, 60, 90])
-def test_damaged_definitions_are_refused(tmp_path, length):
+def test_damaged_definitions_are_rejected(tmp_path, length):
     # pyulog never ends on these.
     path = ulog(tmp_path / "a.ulg")
     path.write_bytes(path.read_bytes()[:length] + bytes(40))
@@ -69,7 +69,7 @@ def test_damaged_definitions_are_refused(tmp_path, length):
         read_recording(path)
 
 
-def test_what_is_no_log_is_refused(tmp_path):
+def test_a_file_that_is_not_a_log_is_rejected(tmp_path):
     (tmp_path / "a.ulg").write_bytes(b"ULog" + bytes(100))
     with pytest.raises(InputError, match="is not a readable PX4 log"):
         read_recording(tmp_path / "a.ulg")
@@ -123,7 +123,7 @@ def local(valid: list[int]) -> list[bytes]:
     ]
 
 
-def test_positions_that_px4_calls_invalid_are_left_out(tmp_path):
+def test_positions_marked_invalid_by_px4_are_ignored(tmp_path):
     motors = [struct.pack("<Q4f", 10_000 * k, 0.25, 0.5, 0.5, 0.5) for k in range(9)]
     topics = {
         "vehicle_local_position": (_LOCAL, local([0, 0, 1, 1, 1, 1, 1, 1, 1])),
@@ -137,7 +137,7 @@ def test_positions_that_px4_calls_invalid_are_left_out(tmp_path):
         read_recording(write_ulog(tmp_path / "a.ulg", topics))
 
 
-def test_a_topic_without_horizontal_position_gives_way_to_one_with_it(tmp_path):
+def test_a_topic_with_horizontal_positions_takes_precedence(tmp_path):
     fields = "uint64_t timestamp;uint64_t timestamp_sample;float[3] position;float[4] q;uint8_t f;"
     nan = float("nan")
     blind = [

@@ -32,7 +32,7 @@ def milliseconds(image: Image.Image) -> list[int]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("speed", "rate"), [(2.0, 12.0), (0.5, 30.0)])
-def test_a_gif_has_its_frames_and_takes_its_time(tmp_path, speed, rate):
+def test_a_gif_has_the_expected_frames_and_duration(tmp_path, speed, rate):
     recording = flight(duration=0.5)
     path = animate(recording, tmp_path / "a.gif", speed=speed, frames_per_second=rate)
     with Image.open(path) as image:
@@ -53,7 +53,7 @@ def table_pixels(path, k) -> np.ndarray:
 
 
 @pytest.mark.slow
-def test_the_craft_is_drawn_where_it_was(tmp_path):
+def test_the_craft_is_drawn_at_its_recorded_place(tmp_path):
     """A craft with a distinctive propeller in its centre: find its colour in the picture."""
     vehicle = Vehicle.model_validate(
         {
@@ -96,7 +96,7 @@ def page_data(path) -> dict:
 
 
 @pytest.mark.parametrize("name", VEHICLES)
-def test_a_page_holds_the_flight(tmp_path, name):
+def test_a_page_contains_the_flight(tmp_path, name):
     vehicle = VEHICLES[name]()
     recording = flight(vehicle, left_out=(0.8, 1.0))
     data = page_data(animate(recording, tmp_path / "a.html", vehicle=vehicle))
@@ -116,7 +116,7 @@ def test_a_page_holds_the_flight(tmp_path, name):
     assert len(data["craft"]["positions"]) == vehicle.n_propellers
 
 
-def test_a_page_needs_nothing_from_outside_and_runs_nothing_foreign(tmp_path):
+def test_a_page_loads_nothing_external_and_escapes_names(tmp_path):
     hostile = CRAFT.model_copy(
         update={"name": "</script><script src=//evil>alert(1)</script>"},
     )
@@ -137,7 +137,7 @@ def test_a_page_needs_nothing_from_outside_and_runs_nothing_foreign(tmp_path):
 
 
 @pytest.mark.skipif(shutil.which("node") is None, reason="needs Node.js")
-def test_the_script_of_a_page_is_javascript(tmp_path):
+def test_the_script_of_a_page_is_valid_javascript(tmp_path):
     text = animate(flight(), tmp_path / "a.html").read_text(encoding="utf-8")
     script = tmp_path / "a.js"
     script.write_text(text.rpartition("<script>")[2].partition("</script>")[0], encoding="utf-8")
@@ -149,7 +149,7 @@ def test_pages_are_small(tmp_path):
     assert path.stat().st_size < 400_000
 
 
-def test_a_recording_without_set_points_has_none_in_its_page(tmp_path):
+def test_a_recording_without_set_points_gives_a_page_without_them(tmp_path):
     path = animate(flight(reference=False), tmp_path / "a.html", speed=0.3)
     assert page_data(path)["reference"]["time"] == []
     text = path.read_text(encoding="utf-8")
@@ -179,7 +179,7 @@ EMPTY = [(0.5, 0.5), (0.6, 0.4), (-0.1, 1.0), (0.0, 1.1), (np.nan, 1.0), (0.5, 0
         ("a.gif", {"table": (0.0, 1.0)}, None),
     ],
 )
-def test_what_gives_no_animation_is_refused(tmp_path, name, settings, says):
+def test_invalid_animation_settings_are_rejected(tmp_path, name, settings, says):
     with pytest.raises(InputError, match=says):
         animate(flight(), tmp_path / name, **settings)
     assert not list(tmp_path.iterdir())
@@ -208,7 +208,7 @@ def broken() -> dict[str, Recording]:
 
 @pytest.mark.parametrize("problem", broken())
 @pytest.mark.parametrize("suffix", [".gif", ".html"])
-def test_what_cannot_be_used_is_refused_and_the_old_file_kept(tmp_path, problem, suffix):
+def test_unusable_recordings_are_rejected_and_old_files_kept(tmp_path, problem, suffix):
     path = tmp_path / f"a{suffix}"
     path.write_text("old")
     with pytest.raises(InputError, match=problem):
@@ -239,7 +239,7 @@ def test_any_vehicle_can_be_drawn(tmp_path, name):
 
 
 @pytest.mark.slow
-def test_a_set_point_far_away_is_no_trouble(tmp_path):
+def test_a_distant_set_point_can_be_drawn(tmp_path):
     recording = flight(duration=0.3)
     far = stream([0.0], [[1e7, -2e6, 1.0, 0, 0, 0]], COLUMNS["reference"])
     odd = Recording({**recording.streams, "reference": far}, "x")
@@ -249,7 +249,7 @@ def test_a_set_point_far_away_is_no_trouble(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.data
-def test_a_real_flight(data, tmp_path):
+def test_a_real_flight_can_be_animated(data, tmp_path):
     recording = read_recording(data / "control_experiment" / "data_M4")
     path = animate(recording, tmp_path / "a.gif", span=(0.2, 0.3))
     assert path.stat().st_size < 500_000
@@ -258,7 +258,7 @@ def test_a_real_flight(data, tmp_path):
     assert page["table"] == [2.2, 1.1]
 
 
-def test_a_drawing_starts_and_ends_where_the_craft_does():
+def test_an_animation_starts_and_ends_with_the_flight():
     time = np.linspace(0.0, 2.0, 201)
     pose = np.column_stack([0.3 * time, 0.2 * time - 0.1, 0.5 * time])
     drawn = moving_drawing(TABLE.table, [Mover("a <craft>", "#0072b2", 0.07, time, pose)])

@@ -59,7 +59,7 @@ def unlabelled(figure: Figure) -> list[str]:
 
 
 @pytest.mark.parametrize("name", FIGURES)
-def test_figures_are_drawn_with_units_on_all_axes(study, judged, name):
+def test_all_axes_have_units(study, judged, name):
     before = dict(mpl.rcParams)
     figure = FIGURES[name](study, judged)
     picture = drawn(figure, "png")
@@ -79,7 +79,7 @@ def test_drawing_is_repeatable():
     assert drawn(first, "pdf") == drawn(again, "pdf")
 
 
-def test_drawing_needs_no_pyplot():
+def test_drawing_does_not_need_pyplot():
     code = (
         "import sys, airpuck.report.reproduce, airpuck.report.fit_report, airpuck.report.craft; "
         "print('matplotlib.pyplot' in sys.modules)"
@@ -121,7 +121,7 @@ def test_any_number_of_propellers_can_be_drawn(n):
         assert len(drawn(figure, "png")) > 1000
 
 
-def test_thrust_figure_shows_the_curve(study):
+def test_the_thrust_figure_shows_the_curve(study):
     model = study.models[3]
     figure = thrust_figure([model])
     axes = next(a for a in figure.axes if a.get_title("left") == model.vehicle.propeller_names[0])

@@ -24,7 +24,7 @@ from ..apparatus.models import fit_of, model_of
 RUNGS = ("M0", "M1", "M2", "M3", "M4")
 
 
-def test_table_1_is_the_papers():
+def test_table_1_matches_the_paper():
     table = ladder_table([published_model(name) for name in RUNGS])
     texts = {name: texts for name, _, *texts in table.rows}
     disc, direct = "0.000337", "from the others"
@@ -40,7 +40,7 @@ def test_table_1_is_the_papers():
     assert table.marked == {place for place, text in texts.items() if text == "free"}
 
 
-def test_parameters_carry_units_and_say_what_was_learned():
+def test_parameters_have_units_and_show_whether_they_were_learned():
     rows = {row.label: row for row in main_rows([published_model("M0"), published_model("M4")])}
     assert rows["τ"].unit == "ms"
     assert [cell.text for cell in rows["τ"].cells] == ["0.00", "28.91"]
@@ -48,7 +48,7 @@ def test_parameters_carry_units_and_say_what_was_learned():
     assert [cell.text for cell in rows["I"].cells] == ["0.3370", "–"]
 
 
-def test_every_propeller_and_coefficient_has_its_row(study):
+def test_every_propeller_and_coefficient_has_a_row(study):
     n = study.models[0].vehicle.n_propellers
     assert len(coefficient_rows(study.models)) == 3 * n
     assert len(effect_rows(study.models)) == 3 * n
@@ -67,7 +67,7 @@ def bands(figure):
     return [c for axes in figure.axes for c in axes.collections if isinstance(c, PolyCollection)]
 
 
-def test_thrust_curves_have_bands_where_they_are_known(known):
+def test_thrust_curves_have_bands_if_their_errors_are_known(known):
     assert not bands(thrust_figure([PLAIN]))
     changed = known.with_delay(0.03)
     assert not bands(thrust_figure([changed]))
@@ -81,7 +81,7 @@ def test_thrust_curves_have_bands_where_they_are_known(known):
     assert full.max() == pytest.approx(middle + reach, rel=1e-6)
 
 
-def test_ratios_have_intervals_where_they_are_known(known):
+def test_ratios_have_intervals_if_their_errors_are_known(known):
     def widths(model):
         axes = parameter_figure([model], {"M3": PLAIN}).axes[0]
         segments = [c.get_segments() for c in axes.collections if isinstance(c, LineCollection)]
@@ -102,7 +102,7 @@ def test_the_table_has_the_standard_error(known):
     assert with_error == f"{without} ± {0.01 * float(without):.2f}"
 
 
-def test_the_loss_of_a_reference_is_that_of_the_fits_own_objective(study):
+def test_the_loss_of_a_reference_uses_the_fits_own_objective(study):
     fit = study.fits[3]
     assert fit.objective is not None
     moved = replace(study.training, command_time=study.training.command_time + 3e-3)
@@ -118,7 +118,7 @@ def test_the_loss_of_a_reference_is_that_of_the_fits_own_objective(study):
     assert abs(losses[1] / losses[0] - 1) > 1e-3
 
 
-def test_a_reference_of_another_name_is_not_judged(study):
+def test_a_reference_of_another_rung_is_not_compared(study):
     other = FitStudy(
         study.training, study.fits[:1], {"M3": model_of(study.models[0].vehicle, "M3")}
     )
@@ -126,7 +126,7 @@ def test_a_reference_of_another_name_is_not_judged(study):
     assert np.isfinite(list(study.reference_losses.values())).all()
 
 
-def test_recordings_are_named_so_that_those_of_one_folder_differ(study):
+def test_recordings_are_named_distinctly_within_one_folder(study):
     recordings = [replace(study.training, source=f"/data/bags/{name}") for name in "ab"]
     [block] = sources_section(*recordings).blocks
     assert [row[0] for row in block.rows] == ["bags/a", "bags/b"]

@@ -52,7 +52,7 @@ def flights() -> list[Tracked]:
     return [flown("lqr"), flown("mpc", PLANS)]
 
 
-def test_figures_are_those_of_the_flight(flights):
+def test_figures_match_the_flight(flights):
     content = flights[1].to_json()
     assert content["saturated"] == pytest.approx(19 / 190 / 6)
     x, y = np.abs(flights[1].twin.pose[:, :2]).T
@@ -64,7 +64,7 @@ def test_figures_are_those_of_the_flight(flights):
     assert content["outcomes"] == {"optimal": 190} and content["law"] == "mpc"
 
 
-def test_the_summary_says_the_same_of_each_law(flights):
+def test_the_summary_has_the_same_columns_for_each_law(flights):
     found = summary(flights)
     lqr, mpc = (dict(zip(found.headings, row, strict=True)) for row in found.rows)
     assert (lqr["flight"], mpc["flight"]) == ("M4 lqr", "M4 mpc")
@@ -73,7 +73,7 @@ def test_the_summary_says_the_same_of_each_law(flights):
     assert (mpc["median [ms]"], mpc["99 % [ms]"]) == ("2.00", "2.98")
 
 
-def test_plans_are_drawn_where_they_lead_in_the_colour_of_what_holds_them_back(flights):
+def test_plans_are_drawn_at_their_ends_in_the_colour_of_the_active_limit(flights):
     lqr, mpc = path_figure(flights).axes
     assert not lqr.collections[0].get_segments()
     lines = mpc.collections[0]
@@ -86,14 +86,14 @@ def test_plans_are_drawn_where_they_lead_in_the_colour_of_what_holds_them_back(f
         np.testing.assert_allclose(line.get_ydata(), 1e3 * one.clearance)
 
 
-def test_one_law_alone_has_the_usual_page(flights):
+def test_a_single_law_has_the_usual_page(flights):
     usual = [section.anchor for section in tracking_sections(flights[:1])]
     both = [section.anchor for section in tracking_sections(flights)]
     assert usual == ["tracking", "inputs"]
     assert both == ["summary", "tracking", "errors", "above", "outcomes", "inputs"]
 
 
-def test_the_page_has_both_and_the_animation_beside_it(flights, tmp_path):
+def test_the_page_shows_both_laws_and_links_the_animation(flights, tmp_path):
     page = tracking_report(flights, "M4", tmp_path).read_text()
     assert "M4 lqr" in page and "M4 mpc" in page and "flight_M4_mpc.html" in page
     moving = (tmp_path / "flight_M4_mpc.html").read_text()
@@ -106,7 +106,7 @@ def test_the_page_has_both_and_the_animation_beside_it(flights, tmp_path):
     assert [plan["x"] for plan in plans] == [[500, 0], [1000, 0], [2000, 0]]
 
 
-def test_a_plan_is_shown_from_its_step_on_until_it_is_old(flights, tmp_path):
+def test_a_plan_is_shown_from_its_step_until_it_is_outdated(flights, tmp_path):
     scene = read_scene(flights[1].recording, CRAFT, log=flights[1].log)
     begin = scene.command_time[0]
     assert plan_at(scene, begin - 0.01) is None

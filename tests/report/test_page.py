@@ -37,7 +37,7 @@ def sections():
     ]
 
 
-def test_page_is_self_contained_and_escaped(tmp_path):
+def test_a_page_is_self_contained_and_escaped(tmp_path):
     path = write_page(tmp_path / "out", "A page", "about it", sections())
     text = path.read_text(encoding="utf-8")
     page = check_self_contained(text)
@@ -50,7 +50,7 @@ def test_page_is_self_contained_and_escaped(tmp_path):
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["figures", "index.html"]
 
 
-def test_the_answer_stands_before_the_contents_and_only_words_of_the_page_are_explained(tmp_path):
+def test_the_answer_comes_first_and_only_terms_used_are_explained(tmp_path):
     answer = PageSection("summary", "In short", (Text(["M3 can be trusted."], bullets=True),))
     text = write_page(tmp_path, "A page", "about τ", [answer, *sections()]).read_text("utf-8")
     assert text.index("M3 can be trusted.") < text.index("<nav") < text.index("First &amp; last")
@@ -62,7 +62,7 @@ def test_the_answer_stands_before_the_contents_and_only_words_of_the_page_are_ex
 
 @pytest.mark.browser
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_a_report_has_no_barrier(tmp_path, chromium, scheme):
+def test_a_report_has_no_accessibility_barrier(tmp_path, chromium, scheme):
     sync_api = pytest.importorskip("playwright.sync_api")
     cells = [["a name that is long enough to scroll on a phone"] * 8]
     wide = PageTable("a wide table", ["name", *"abcdefg"], cells, [("", 1), ("group", 7)])
@@ -82,7 +82,7 @@ def test_a_report_has_no_barrier(tmp_path, chromium, scheme):
 
 @pytest.mark.browser
 @pytest.mark.parametrize(("preference", "moves"), [("reduce", False), ("no-preference", True)])
-def test_a_drawing_moves_unless_the_reader_prefers_no_motion(tmp_path, chromium, preference, moves):
+def test_a_drawing_moves_unless_reduced_motion_is_preferred(tmp_path, chromium, preference, moves):
     sync_api = pytest.importorskip("playwright.sync_api")
     time = np.linspace(0.0, 20.0, 201)
     craft = Mover("M3", "#0072b2", 0.07, time, np.column_stack([0.05 * time, 0 * time, time]))
@@ -99,7 +99,7 @@ def test_a_drawing_moves_unless_the_reader_prefers_no_motion(tmp_path, chromium,
         browser.close()
 
 
-def test_a_folder_that_is_a_file_is_refused(tmp_path):
+def test_a_folder_that_is_a_file_is_rejected(tmp_path):
     (tmp_path / "out").write_text("mine")
     with pytest.raises(InputError, match="cannot be written"):
         write_page(tmp_path / "out", "A page", "about it", sections())
@@ -110,7 +110,7 @@ def test_a_folder_that_is_a_file_is_refused(tmp_path):
 @pytest.mark.parametrize(
     ("study", "on_another"), [("six", True), ("four", False)], indirect=["study"]
 )
-def test_fit_report_of_any_craft(study, judged, tmp_path, on_another, undrawn):
+def test_any_craft_has_a_fit_report(study, judged, tmp_path, on_another, undrawn):
     truth = model_of(study.models[0].vehicle, "M3")
     on = judged if on_another else None
     path = fit_report(study.fits, study.training, tmp_path, judged=on, truth=truth)
@@ -142,7 +142,7 @@ def test_a_dead_motor_is_named_at_the_top(study, tmp_path, undrawn, monkeypatch)
     assert f"Throughout the recording: {first.name} is dead" in text.split("The flight</h2>")[0]
 
 
-def test_fit_report_shows_when_packets_arrived(study, tmp_path, undrawn):
+def test_a_fit_report_shows_packet_arrivals(study, tmp_path, undrawn):
     jitter = DelayJitter(standard_deviation_s=0.0063, standard_error_s=0.0002, packets=3)
     delays = PacketDelays(np.array([20, 50, 90]), 1e-3 * np.array([-6.0, 1, 5]), np.full(3, 1e-3))
     fit = replace(
@@ -165,7 +165,7 @@ def test_a_fit_to_several_recordings_names_all_of_them(study, tmp_path, undrawn)
     assert "lab/monday" in page and "lab/tuesday" in page
 
 
-def test_fit_report_of_one_fit_without_truth(study, judged, tmp_path, undrawn):
+def test_a_single_fit_without_truth_has_a_report(study, judged, tmp_path, undrawn):
     alone = JudgedModels(judged.trajectory, judged.evaluations[3:4])
     path = fit_report(study.fits[3], study.training, tmp_path, judged=alone)
     page = check_self_contained(path.read_text(encoding="utf-8"))
@@ -175,7 +175,7 @@ def test_fit_report_of_one_fit_without_truth(study, judged, tmp_path, undrawn):
         fit_report((), study.training, tmp_path)
 
 
-def test_commands_in_sentences_are_set_as_code_and_still_escaped(tmp_path):
+def test_commands_in_sentences_are_formatted_as_code_and_escaped(tmp_path):
     section = PageSection("a", "A", (Text(["run `airpuck a <b>` & wait", "a single ` stays"]),))
     text = write_page(tmp_path / "out", "A page", "about it", [section]).read_text("utf-8")
     assert "run <code>airpuck a &lt;b&gt;</code> &amp; wait" in text

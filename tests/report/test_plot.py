@@ -20,7 +20,7 @@ def flown():
     return trajectory, airpuck.compare([M3, published_model("M0")], trajectory)
 
 
-def test_thrust_curves_are_the_models():
+def test_the_thrust_curves_of_the_model_are_drawn():
     axes = Figure().add_subplot()
     assert airpuck.plot.thrust(M3, axes) is axes
     assert len(axes.lines) == 6
@@ -28,7 +28,7 @@ def test_thrust_curves_are_the_models():
     np.testing.assert_allclose(full, M3.parameters.thrust.sum(axis=1))
 
 
-def test_errors_over_the_horizon_are_the_evaluations(flown):
+def test_the_errors_over_the_horizon_match_the_evaluation(flown):
     panels = list(Figure().subplots(1, 3))
     airpuck.plot.horizon(flown[1], panels)
     for channel, (axes, factor) in enumerate(zip(panels, (1e3, 1e3, 1.0), strict=True)):
@@ -37,7 +37,7 @@ def test_errors_over_the_horizon_are_the_evaluations(flown):
             np.testing.assert_allclose(line.get_ydata(), expected)
 
 
-def test_all_draw_where_they_are_told_and_by_default_in_a_new_figure(flown):
+def test_all_plots_use_given_axes_or_a_new_figure(flown):
     trajectory, evaluations = flown
     figure = Figure()
     left, right = figure.subfigures(1, 2)
@@ -51,7 +51,7 @@ def test_all_draw_where_they_are_told_and_by_default_in_a_new_figure(flown):
         assert len(panels) == 3 and panels[0].figure is panels[2].figure
 
 
-def test_a_wrong_number_of_axes_is_refused(flown):
+def test_a_wrong_number_of_axes_is_rejected(flown):
     with pytest.raises(InputError, match="needs 3 matplotlib axes, not 1"):
         airpuck.plot.horizon(flown[1], Figure().add_subplot())
 

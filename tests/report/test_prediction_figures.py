@@ -25,19 +25,19 @@ from airpuck.report.residual_report import prediction_bands_figure
 from ..apparatus.synthetic_flights import fly
 
 
-def test_worst_windows_are_the_largest_whatever_their_sign():
+def test_worst_windows_have_the_largest_absolute_errors():
     errors = np.array([1.0, -5.0, 2.0, 4.0, -3.0] + [0.0] * 20)
     assert np.flatnonzero(worst_windows(errors)).tolist() == [1, 3]
     assert worst_windows(np.ones(3)).sum() == 1
 
 
-def test_what_marked_windows_hold_of_the_squares():
+def test_marked_windows_state_their_share_of_squared_errors():
     errors = np.stack([np.ones(100), np.eye(100)[7], np.zeros(100)])
     assert squares_held(errors, worst_windows(errors)) == "8 / 100 / 0"
     assert squares_held(errors, np.arange(100) < 50) == "50 / 100 / 0"
 
 
-def test_predictions_are_drawn_where_the_model_put_them(judged):
+def test_predictions_are_drawn_at_their_predicted_places(judged):
     evaluation = judged.evaluations[3]
     figure = prediction_figure(judged.trajectory, [evaluation])
     begin, stop = typical_stretch(evaluation)
@@ -65,7 +65,7 @@ def test_predictions_are_drawn_where_the_model_put_them(judged):
         np.testing.assert_allclose(drawn, factor * evaluation.errors[-1, channel, inside])
 
 
-def test_the_seconds_shown_have_errors_of_the_usual_size(judged):
+def test_the_shown_stretch_has_typical_errors(judged):
     found = judged.evaluations[3]
     windows = 400
     start = 0.3 * np.arange(windows)
@@ -78,7 +78,7 @@ def test_the_seconds_shown_have_errors_of_the_usual_size(judged):
 
 
 @pytest.mark.parametrize("gap", [False, True])
-def test_the_way_is_that_of_the_poses_and_does_not_cross_what_is_left_out(judged, study, gap):
+def test_the_path_follows_the_poses_and_is_interrupted_at_exclusions(judged, study, gap):
     flight = judged.trajectory
     if gap:
         flight = replace(flight, excluded=(Span(3.0, 4.0, "gap"),))
@@ -113,7 +113,7 @@ def figure(flight):
     return error_timeline_figure(evaluation, SPANS)
 
 
-def test_each_cause_has_a_row_and_each_span_its_place(figure):
+def test_each_cause_has_a_row_and_each_span_its_position(figure):
     top = figure.axes[0]
     rows = [label.get_text() for label in top.get_yticklabels()]
     assert rows == ["not armed", "motor_a_1 stalled", "gap"]
@@ -128,12 +128,12 @@ def test_each_cause_has_a_row_and_each_span_its_place(figure):
     assert {text.get_text() for text in top.texts} == {"0.99", "0.60", "0.97"}
 
 
-def test_causes_have_colours():
+def test_causes_have_distinct_colours():
     causes = ("not armed", "radio out", "contact", "unexplained motion", "motor_a_1 stalled", "gap")
     assert len({fault_color(cause) for cause in causes}) == len(causes)
 
 
-def test_the_page_lists_what_was_found(flight, tmp_path):
+def test_the_page_lists_the_findings(flight, tmp_path):
     marked = replace(flight, excluded=SPANS[2:3])
     found = (SPANS[0], SPANS[1], SPANS[3])
     page = fault_report(marked, found, published_model("M3"), tmp_path).read_text()
@@ -159,7 +159,7 @@ def limits(figure, column: int) -> np.ndarray:
     return np.array([axes.get_ylim() for axes in figure.axes[column::3]])
 
 
-def test_a_band_that_would_hide_its_errors_is_cut_off():
+def test_a_band_that_would_hide_its_errors_is_clipped():
     ahead = bands([0.0, 0.2, 0.4], 0.2, 1e-3, 2e-3)
     cut = prediction_bands_figure(ahead, bands([0.0], 0.6, 0.1, 10.0))
     # Five times the largest error, in mm, mm and rad; half of that around the poses in m, m, rad.

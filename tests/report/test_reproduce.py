@@ -31,7 +31,7 @@ def rounded(errors):
 
 @pytest.mark.slow
 @pytest.mark.data
-def test_published_parameters_give_table_2_to_every_digit(figures):
+def test_published_parameters_reproduce_table_2_to_every_digit(figures):
     published = figures["table_2"]["published"]
     assert {name: rounded(errors) for name, errors in published.items()} == TABLE_2
     for name, errors in published.items():
@@ -44,7 +44,7 @@ def test_published_parameters_give_table_2_to_every_digit(figures):
 
 @pytest.mark.slow
 @pytest.mark.data
-def test_own_fits_reach_the_published_errors(figures):
+def test_our_fits_reach_the_published_errors(figures):
     table = figures["table_2"]
     ratio = np.array(
         [
@@ -60,7 +60,7 @@ def test_own_fits_reach_the_published_errors(figures):
 
 @pytest.mark.slow
 @pytest.mark.data
-def test_numbers_are_those_of_direct_calls(figures, reproduction, experiments):
+def test_numbers_match_direct_calls(figures, reproduction, experiments):
     assert (TRAINING, VALIDATION) == (TRAINING_NAME, VALIDATION_NAME)
     assert figures == json.loads(json.dumps(reproduction.to_json()))
     validation = read_authors_experiment(experiments / VALIDATION)
@@ -78,7 +78,7 @@ def test_numbers_are_those_of_direct_calls(figures, reproduction, experiments):
 
 @pytest.mark.slow
 @pytest.mark.data
-def test_page_shows_everything(reproduction, data):
+def test_the_page_shows_everything(reproduction, data):
     page = check_self_contained(reproduction.page.read_text(encoding="utf-8"))
     assert {
         *("summary", "craft", "learning", "prediction", "time", "thrust", "optimiser"),
@@ -96,7 +96,7 @@ def test_page_shows_everything(reproduction, data):
 
 @pytest.mark.slow
 @pytest.mark.data
-def test_known_faults_hold_the_largest_errors(reproduction):
+def test_known_faults_contain_the_largest_errors(reproduction):
     best = reproduction.judged.best
     faulty = touched_by(best, FAULTS)
     assert 0.03 < faulty.mean() < 0.09
@@ -115,7 +115,7 @@ def test_fits_beat_the_published_loss(reproduction):
         assert is_monotone(fit.model.parameters.thrust).all()
 
 
-def test_a_folder_that_is_no_dataset_is_refused(tmp_path):
+def test_a_folder_without_the_dataset_is_rejected(tmp_path):
     with pytest.raises(InputError, match="no folder `experiments`"):
         reproduce(tmp_path, tmp_path / "out")
     (tmp_path / "experiments").mkdir()

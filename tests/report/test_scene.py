@@ -25,7 +25,7 @@ from ..apparatus.models import VEHICLES, four_propellers
 
 
 @pytest.mark.parametrize("name", VEHICLES)
-def test_frames_are_the_recording_interpolated(name):
+def test_frames_interpolate_the_recording(name):
     vehicle = VEHICLES[name]()
     recording = flight(vehicle)
     scene = read_scene(recording, vehicle)
@@ -45,7 +45,7 @@ def test_frames_are_the_recording_interpolated(name):
         np.testing.assert_array_equal(row, command.values[np.flatnonzero(k <= moment)[-1]])
 
 
-def test_set_points_hold_and_are_near_the_yaw():
+def test_set_points_are_held_and_unwrapped_near_the_yaw():
     frames = frames_at(read_scene(flight(), CRAFT), np.array([0.4, 0.6, 1.1, 1.3]))
     assert np.isnan(frames.reference[0]).all()
     np.testing.assert_allclose(frames.reference[1:3, :2], [[0.0, 0.1]] * 2)
@@ -54,7 +54,7 @@ def test_set_points_hold_and_are_near_the_yaw():
     np.testing.assert_allclose(np.cos(frames.reference[1:, 2]), np.cos([0, 0, -3.0]), atol=1e-12)
 
 
-def test_commands_are_in_the_order_of_the_propellers():
+def test_commands_are_in_propeller_order():
     recording = flight()
     command = recording["command"]
     turned = Stream(
@@ -66,7 +66,7 @@ def test_commands_are_in_the_order_of_the_propellers():
     )
 
 
-def test_nothing_is_made_up_in_a_gap():
+def test_nothing_is_interpolated_across_a_gap():
     recording = flight(left_out=(0.8, 1.0))
     scene = read_scene(recording, CRAFT)
     t = (recording["pose"].stamp_ns - EPOCH) * 1e-9
@@ -81,7 +81,7 @@ def test_nothing_is_made_up_in_a_gap():
         assert np.all((age >= 0) & (age <= 1))
 
 
-def test_poses_that_are_not_finite_are_a_gap():
+def test_non_finite_poses_are_a_gap():
     values = flight()["pose"].values.copy()
     values[100:150, 1] = np.nan
     values[300, 2] = np.inf
@@ -98,7 +98,7 @@ def test_a_frozen_pose_is_a_gap():
     assert frames.known.tolist() == [True, False]
 
 
-def test_a_command_does_not_hold_for_ever():
+def test_a_command_is_not_held_indefinitely():
     recording = flight()
     command = recording["command"]
     cut = Stream(
@@ -122,7 +122,7 @@ def test_the_trail_follows_the_craft():
     assert np.all(np.diff(age) < 0)
 
 
-def test_thinning_keeps_the_ends_of_every_stretch():
+def test_thinning_keeps_the_ends_of_every_segment():
     scene = read_scene(flight(left_out=(0.8, 1.0)), CRAFT)
     less = thinned(scene, 60.0)
     assert len(less.time) < 0.3 * len(scene.time)
@@ -132,7 +132,7 @@ def test_thinning_keeps_the_ends_of_every_stretch():
     assert thinned(scene, 1e4).time.tolist() == scene.time.tolist()
 
 
-def test_the_table_is_drawn_only_around_a_flight_on_it():
+def test_the_table_is_drawn_only_if_the_flight_is_on_it():
     on = read_scene(flight(), CRAFT)
     assert on.table == (2.2, 1.1)
     assert on.view == (-1.1, 1.1, -0.55, 0.55)
@@ -147,7 +147,7 @@ def test_the_table_is_drawn_only_around_a_flight_on_it():
     assert y1 > off.pose[:, 1].max() + radius
 
 
-def test_a_game_is_shown_on_its_table_whatever_the_craft_is_asked_for():
+def test_a_game_is_shown_on_its_table_wherever_the_set_points_are():
     recording = flight()
     asked = recording["reference"]
     far = replace(asked, values=asked.values + np.array([-3.0, 0, 0, 0, 0, 0]))
@@ -187,7 +187,7 @@ def test_an_arrow_points_where_its_propeller_pushes(name, yaw):
         np.testing.assert_array_equal(others[:, 0], others[:, 1])
 
 
-def test_arrows_are_as_long_as_thrust_is_large():
+def test_arrow_lengths_are_proportional_to_thrust():
     command = np.tile([[0.2], [0.4], [1.0]], 6)
     arrows = thrust_arrows(CRAFT, np.zeros((3, 3)), command)
     length = np.hypot(*(arrows[:, 0, 1] - arrows[:, 0, 0]).T)
@@ -197,7 +197,7 @@ def test_arrows_are_as_long_as_thrust_is_large():
     assert 0.1 < length[2] < 0.5  # visible, and on the table
 
 
-def test_an_outline_ends_at_the_tip_whatever_the_length():
+def test_an_outline_ends_at_the_tip_for_any_length():
     arrows = np.array([[[0.0, 0.0], [0.3, 0.4]], [[1.0, 1.0], [1.0, 1.001]], [[2.0, 2.0]] * 2])
     shapes = arrow_shapes(arrows, 0.07)
     np.testing.assert_allclose(shapes[:, 3], arrows[:, 1], atol=1e-12)
@@ -214,21 +214,21 @@ def test_propellers_do_not_overlap_and_a_single_one_is_drawn():
     assert 0 < propeller_size(one) < one.radius_m
 
 
-def test_names_in_pictures_are_short():
+def test_names_in_pictures_are_shortened():
     assert short_names(("motor_a_1", "motor_a_2", "motor_b_1")) == ["a 1", "a 2", "b 1"]
     assert short_names(("front", "left")) == ["front", "left"]
     assert short_names(("m_1",)) == ["m 1"]
     assert short_names(("m_a", "m")) == ["m a", "m"]
 
 
-def test_the_thrust_of_the_key_is_round():
+def test_the_legend_shows_a_round_thrust():
     assert round_thrust(CRAFT) == pytest.approx(0.2)  # 0.644 N at full command
     fields = CRAFT.model_dump()
     strong = Vehicle.model_validate(fields | {"nominal": fields["nominal"] | {"thrust_N": (11.0,)}})
     assert round_thrust(strong) == pytest.approx(5)
 
 
-def test_a_game_on_a_table_of_other_sizes(tmp_path):
+def test_a_game_on_a_table_of_another_size_is_drawn_to_scale(tmp_path):
     recording = flight()
     game = replace(recording, streams={**recording.streams, "puck": recording["pose"]})
     table = {"length_m": 2.4, "width_m": 1.2, "goal_width_m": 0.3}

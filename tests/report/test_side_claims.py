@@ -23,18 +23,18 @@ def recordings(experiments):
     return tuple(read_authors_experiment(experiments / name) for name in (TRAINING, VALIDATION))
 
 
-def test_falling_share():
+def test_the_falling_share_is_measured():
     coefficients = np.array([[1.0, 0.0, 0.0], [1.0, -1.0, 0.0], [-1.0, 0.0, 0.0]])
     np.testing.assert_allclose(claims.falling_share(coefficients), [0, 0.5, 1], atol=2e-3)
 
 
-def test_a_landscape_counts_its_minima():
+def test_the_minima_of_a_landscape_are_counted():
     factor = np.linspace(0.9, 1.1, 201)
     for loss, count in (((factor - 1) ** 2, 1), (factor, 0), (np.cos(100 * factor), 3)):
         assert len(claims.Landscape(1, 1, factor, loss).minima) == count
 
 
-def test_published_m4_thrusts_are_larger_only_by_their_scale():
+def test_published_m4_thrusts_differ_only_by_their_scale():
     thrusts = claims.largest_thrusts(published_model("M3"), published_model("M4"))
     first = thrusts["M3_N"]
     assert (thrusts["M4_as_learned_N"] / first > 1.25).all()
@@ -54,7 +54,7 @@ def test_without_the_condition_some_thrust_curves_fall(recordings):
 
 @pytest.mark.data
 @pytest.mark.study
-def test_long_predictions_have_more_local_minima(recordings):
+def test_longer_predictions_have_more_local_minima(recordings):
     short, long = claims.sample_landscapes(
         recordings[0], published_model("M3"), horizons=(50, 5000), span=0.1, points=21
     )
@@ -66,7 +66,7 @@ def test_long_predictions_have_more_local_minima(recordings):
 
 @pytest.mark.data
 @pytest.mark.study
-def test_all_side_claims(data, tmp_path, monkeypatch):
+def test_all_side_claims_are_reported(data, tmp_path, monkeypatch):
     monkeypatch.setenv("AIRPUCK_DATA", str(data))
     numbers = claims.side_claims(tmp_path)
     assert json.loads((tmp_path / "side_claims.json").read_text()) == numbers

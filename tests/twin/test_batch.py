@@ -95,7 +95,7 @@ def test_each_craft_flies_like_a_twin(settings):
                 np.testing.assert_allclose(pose[row], seen[row][2], atol=1e-9)
 
 
-def test_craft_that_wait_do_not_move_and_a_reset_begins_a_new_flight():
+def test_waiting_craft_do_not_move_and_a_reset_starts_a_new_flight():
     batch = TwinBatch(MODEL, 2, 1.0, settings=PLAIN)
     start, command = np.array([[0.1, 0.2, 0.3]]), np.full((2, 6), 0.5)
     batch.reset(np.arange(2), np.repeat(start, 2, axis=0), [1, 1])
@@ -113,7 +113,7 @@ def test_craft_that_wait_do_not_move_and_a_reset_begins_a_new_flight():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("size", [3, 6])
-def test_each_craft_obeys_its_own_model_and_logs_what_a_twin_logs(size):
+def test_each_craft_obeys_its_own_model_and_logs_like_a_twin(size):
     # Axes of the coefficients have 2, 3 and 6 entries, which must not be mistaken for the craft.
     models = [MODEL, OTHER, MODEL, OTHER, MODEL, OTHER][:size]
     starts = np.array([[0.9, 0.0, -0.3], [0.3, -0.4, 0.0], [0.5, -0.4, 8.0], *np.zeros((3, 3))])
@@ -135,7 +135,7 @@ def test_each_craft_obeys_its_own_model_and_logs_what_a_twin_logs(size):
     assert bounced
 
 
-def test_the_final_state_is_that_of_the_end_of_the_last_period():
+def test_the_final_state_is_at_the_end_of_the_last_period():
     # Both end at 0.49 s; the frames of the slow camera and of the fast one are at other times.
     ends = []
     for rate in (30.0, 240.0):
@@ -147,7 +147,7 @@ def test_the_final_state_is_that_of_the_end_of_the_last_period():
 
 
 @pytest.mark.slow
-def test_flights_of_a_batch_give_the_parameters_back():
+def test_batch_flights_recover_the_parameters():
     rng = np.random.default_rng(0)
     # One motor of each pair and its opposite, and back: the craft comes to rest, far from a rail.
     capture = MotionCapture(position_noise_m=5e-5, yaw_noise_rad=6e-4)
@@ -191,13 +191,13 @@ STALLS = Motors(stalls=(Stall(motor="motor_a_1", start_s=0.1, stop_s=0.2),))
         ({"settings": read_twin_settings("paper:starts")}, "use Twin"),
     ],
 )
-def test_a_batch_rejects_what_it_cannot_represent(arguments, problem):
+def test_a_batch_rejects_unsupported_settings(arguments, problem):
     given = {"models": MODEL, "settings": PLAIN, **arguments}
     with pytest.raises(InputError, match=problem):
         TwinBatch(size=2, longest=1.0, **given)
 
 
-def test_a_batch_rejects_wrong_commands_poses_and_seeds():
+def test_a_batch_rejects_invalid_commands_poses_and_seeds():
     batch = TwinBatch(MODEL, 2, 2 * PERIOD, settings=PLAIN)
     rows, poses, still = np.arange(2), np.zeros((2, 3)), np.zeros((2, 6))
     wrong: list[Any] = [(1, -1), (0.5, 1), (1,)]

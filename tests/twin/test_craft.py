@@ -28,7 +28,7 @@ def test_healthy_motors_follow_their_command():
     assert motors.next_change(0.0) == math.inf
 
 
-def test_motors_stand_until_they_are_armed():
+def test_motors_do_not_turn_until_armed():
     motors = unit(unarmed_s=2.0)
     assert motors.next_change(0.0) == 2.0
     np.testing.assert_array_equal(motors.follow(0.0, BOTH), 0)
@@ -37,7 +37,7 @@ def test_motors_stand_until_they_are_armed():
     assert motors.next_change(2.0) == math.inf
 
 
-def test_an_idling_motor_follows_a_higher_command_later():
+def test_an_idling_motor_follows_a_higher_command_after_its_start_delay():
     motors = unit(starting_delay_s=0.1, idle_below=0.05)
     np.testing.assert_array_equal(motors.follow(0.0, np.array([0.03, 0.03])), [0.03, 0.03])
     # Only the first gets a command; until it follows, it turns at idle speed at most.
@@ -57,7 +57,7 @@ def test_changing_the_command_during_a_start_does_not_restart_it():
     np.testing.assert_array_equal(motors.follow(0.11, np.array([0.9, 0.0])), [0.9, 0.0])
 
 
-def test_a_motor_that_idled_again_starts_slowly_again():
+def test_a_motor_that_idles_again_starts_slowly_again():
     motors, go, idle = unit(starting_delay_s=0.1), np.array([0.6, 0.6]), np.array([0.0, 0.6])
     motors.follow(0.0, go)
     np.testing.assert_array_equal(motors.follow(0.2, go), go)
@@ -74,7 +74,7 @@ def test_an_aborted_start_does_not_count():
     np.testing.assert_array_equal(motors.follow(0.12, go), [0.05, 0.0])
 
 
-def test_a_stalled_motor_stands_and_the_other_does_not():
+def test_a_stalled_motor_stops_and_the_other_does_not():
     motors = unit(stalls=(Stall(motor="right", start_s=1.0, stop_s=1.5),))
     assert motors.next_change(0.0) == 1.0
     np.testing.assert_array_equal(motors.follow(0.99, BOTH), BOTH)
@@ -84,14 +84,14 @@ def test_a_stalled_motor_stands_and_the_other_does_not():
     np.testing.assert_array_equal(motors.follow(1.5, BOTH), BOTH)
 
 
-def test_the_command_of_the_caller_is_not_modified():
+def test_the_callers_command_is_not_modified():
     command = BOTH.copy()
     unit(stalls=(Stall(motor="right", start_s=0.0, stop_s=9.0),)).follow(1.0, command)
     unit(starting_delay_s=1.0).follow(0.0, command)
     np.testing.assert_array_equal(command, BOTH)
 
 
-def test_a_stall_of_an_unknown_motor_is_refused():
+def test_a_stall_of_an_unknown_motor_is_rejected():
     with rejected("(there are left, right)", match="middle", field="motors.stalls"):
         unit(stalls=(Stall(motor="middle", start_s=0.0, stop_s=1.0),))
 
@@ -105,7 +105,7 @@ def test_a_stall_of_an_unknown_motor_is_refused():
         st.tuples(st.floats(1e-3, 0.5), st.floats(0, 1), st.floats(0, 1)), max_size=10
     ),
 )
-def test_motors_are_constant_until_the_next_stated_change(unarmed, delay, stall, commands):
+def test_motors_are_constant_until_the_next_announced_change(unarmed, delay, stall, commands):
     start, length = stall
     stalls = (Stall(motor="left", start_s=start, stop_s=start + length),)
     motors = unit(unarmed_s=unarmed, starting_delay_s=delay, stalls=stalls)
@@ -133,7 +133,7 @@ def started(starts, rest, seed):
 
 
 @pytest.mark.parametrize(("rest", "rate"), [(0.05, 0.0), (0.1, 0.3), (0.19, 0.3), (0.2, 0.05)])
-def test_starts_fail_as_often_as_stated_for_the_rest_before(rest, rate):
+def test_starts_fail_as_often_as_stated_for_the_preceding_rest(rest, rate):
     starts = Starts(rest_s=(0.1, 0.2), failed=(0.3, 0.05), lasting_s=0.1)
     # Beyond a rounding error of the large times.
     outcomes = [started(starts, rest + 1e-6, seed) for seed in range(2000)]
@@ -144,7 +144,7 @@ def test_starts_fail_as_often_as_stated_for_the_rest_before(rest, rate):
     np.testing.assert_array_equal(counted, failed)
 
 
-def test_a_motor_that_failed_to_start_turns_up_after_a_while_of_the_stated_mean():
+def test_a_motor_that_failed_to_start_recovers_after_the_stated_mean_time():
     starts, now, go = Starts(rest_s=(0.0,), failed=(1.0,), lasting_s=0.1), 0.0, np.array([0.6, 0.0])
     waits = []
     for seed in range(500):
@@ -166,7 +166,7 @@ def test_a_motor_that_never_rests_never_fails_to_start():
     assert len(motors.failed_starts) == 2
 
 
-def test_a_weak_motor_gives_its_share_while_it_is_weak():
+def test_a_weak_motor_gives_its_share_of_thrust_while_it_is_weak():
     losses = (
         Weakness(motor="right", start_s=1.0, stop_s=2.0, share=0.6),
         Weakness(motor="right", start_s=1.5, stop_s=3.0, share=0.5),

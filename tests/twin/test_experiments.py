@@ -41,7 +41,7 @@ def planned():
 
 
 @pytest.mark.slow
-def test_a_plan_is_flown_in_its_time_and_a_set_point_takes_twice_as_long(planned):
+def test_a_plan_takes_its_time_and_a_set_point_twice_as_long(planned):
     found = race(planned, M3, seeds=1)
     assert found.contacts == 0
     for raced, alone in zip(found.flown, found.set_point, strict=True):
@@ -53,7 +53,7 @@ def test_a_plan_is_flown_in_its_time_and_a_set_point_takes_twice_as_long(planned
     assert figures["lower_bound_s"] == planned.lower_bound
 
 
-def test_courses_are_on_the_table():
+def test_courses_lie_on_the_table():
     reach = Table().reach(M3.vehicle.radius_m)
     for start, goal, via in COURSES.values():
         for point in (start, goal, *via):
@@ -61,14 +61,14 @@ def test_courses_are_on_the_table():
             assert abs(point[1]) < reach[1] - 0.02
 
 
-def test_whoever_is_near_a_point_passes_it_at_any_yaw_and_speed():
+def test_a_point_counts_as_passed_at_any_yaw_and_speed():
     point = (0.3, -0.2)
     states = np.array([[0.3, 0.3, 0, 0, 0, 0], [0.301, -0.2, 3, 5, 5, 9], [-0.3, -0.2, 0, 0, 0, 0]])
     assert passes(states, np.array(point)).tolist() == [False, True, False]
 
 
 @pytest.mark.slow
-def test_plans_with_way_points_or_a_moving_start_have_no_set_point_flight(planned):
+def test_plans_with_waypoints_or_a_moving_start_have_no_set_point_flight(planned):
     states = planned.samples[1]
     x, y = states[len(states) // 2, :2].tolist()  # the plan passes there
     past = replace(planned, via=((x, y),), keep_out=((x, y, 0.05),))
@@ -85,7 +85,7 @@ def test_plans_with_way_points_or_a_moving_start_have_no_set_point_flight(planne
         race(replace(planned, states=states), M3)
 
 
-def test_a_twin_of_another_craft_is_refused(planned):
+def test_a_twin_of_another_craft_is_rejected(planned):
     examples = Path(__file__).parents[2] / "examples"
     other = nominal_model(airpuck.read_vehicle(examples / "free_flyers/atmos.toml"))
     with pytest.raises(InputError, match="has 6 motors, the twin 8"):
@@ -112,7 +112,7 @@ def fit():
 
 
 @pytest.mark.slow
-def test_an_excitation_stays_inside_the_rails_and_moves_about():
+def test_an_excitation_stays_off_the_rails_and_moves_around():
     pose = flown(SETTINGS.radio.jitter_s, 40.0).trajectory.state[:, :3]
     reach = SETTINGS.table.reach(TRUTH.vehicle.radius_m)
     assert (np.abs(pose[:, :2]) < np.array(reach) - 0.01).all()
@@ -121,7 +121,7 @@ def test_an_excitation_stays_inside_the_rails_and_moves_about():
 
 
 @pytest.mark.slow
-def test_the_same_seed_excites_the_same_and_another_one_differently(plant):
+def test_a_seed_determines_the_excitation(plant):
     one, same, other = (excite(TRUTH, 1.0, seed, plant=plant) for seed in (1, 1, 2))
     assert one.streams.keys() == same.streams.keys() >= {"pose", "command", "reference"}
     for name, stream in one.streams.items():
@@ -129,7 +129,7 @@ def test_the_same_seed_excites_the_same_and_another_one_differently(plant):
         assert name == "reference" or stream != other.streams[name]
 
 
-def test_amplitude_and_hold_reach_the_signals(plant):
+def test_amplitude_and_hold_time_affect_the_signals(plant):
     recording = excite(TRUTH, 2.0, 1, amplitude=0.1, hold=0.5, plant=plant)
     commands = recording["command"].values[10:]  # the first ones wait for a pose
     # From rest at the set point, the controller adds little.
@@ -144,7 +144,7 @@ def test_identification_recovers_the_truth(fit):
 
 
 @pytest.mark.slow
-def test_identification_does_not_just_return_its_start(fit):
+def test_identification_does_not_just_return_its_initial_guess(fit):
     start, truth = nominal_model(TRUTH.vehicle).parameters, TRUTH.parameters
     assert abs(start.inertia / truth.inertia - 1) > 0.1
     assert abs(start.angle_offset - truth.angle_offset) > 0.03
@@ -152,7 +152,7 @@ def test_identification_does_not_just_return_its_start(fit):
 
 
 @pytest.mark.slow
-def test_identification_recovers_the_delay_to_a_sample(fit):
+def test_identification_recovers_the_delay_to_one_sample(fit):
     assert fit.model.transport_delay == pytest.approx(TRUTH.transport_delay, abs=1.01 / 240)
 
 
@@ -167,7 +167,7 @@ def test_the_true_model_reaches_its_set_points_within_six_seconds():
 
 
 @pytest.mark.study
-def test_a_poor_model_is_visibly_off_after_two_seconds_and_the_true_one_is_near():
+def test_after_two_seconds_a_poor_model_is_off_and_the_true_one_is_not():
     poor, true = tracking_study([M0, M4], M4)
     poor, true = (
         np.abs([result.steady_state_error for result in flight.results]) for flight in (poor, true)
@@ -177,7 +177,7 @@ def test_a_poor_model_is_visibly_off_after_two_seconds_and_the_true_one_is_near(
 
 
 @pytest.mark.slow
-def test_rejecting_the_disturbance_brings_a_poor_model_to_its_set_points(plant_m4):
+def test_disturbance_rejection_brings_a_poor_model_to_its_set_points(plant_m4):
     reference = SetPoints([0.0, 0.5, 6.5], SET_POINTS[:3])
     recording = track(M0, reference, 12.5, truth=M4, plant=plant_m4).recording
     results = Track.of(recording, M0.vehicle, "").results()[-2:]
@@ -206,7 +206,7 @@ def test_set_points_are_reached_over_a_bad_radio(plant_m4):
 
 
 @pytest.mark.slow
-def test_a_flight_begins_where_it_is_told_to(plant_m4):
+def test_a_flight_starts_at_the_given_pose(plant_m4):
     log = track(M4, SetPoint(0.3, -0.1, 2.0), 0.5, pose=(0.3, -0.1, 2.0), plant=plant_m4)
     recording = log.recording
     np.testing.assert_allclose(recording["pose"].values[0], [0.3, -0.1, 2.0], atol=3e-3)
@@ -216,7 +216,7 @@ def test_a_flight_begins_where_it_is_told_to(plant_m4):
 
 
 @pytest.mark.parametrize("duration", [0.0, -1.0, np.nan, 0.009, np.inf])
-def test_a_duration_without_a_command_or_an_end_is_refused(duration):
+def test_a_duration_without_a_command_or_an_end_is_rejected(duration):
     for attempt in (
         lambda: excite(TRUTH, duration),
         lambda: track(M4, SetPoint(0, 0, 0), duration),
@@ -225,7 +225,7 @@ def test_a_duration_without_a_command_or_an_end_is_refused(duration):
             attempt()
 
 
-def test_a_flight_of_one_command_can_be_read_back(tmp_path, plant):
+def test_a_flight_with_one_command_can_be_read_back(tmp_path, plant):
     flown = excite(TRUTH, 0.01, plant=plant)
     write_bag(flown, tmp_path / "bag")
     assert len(read_recording(tmp_path / "bag")["command"]) == len(flown["command"]) == 1
@@ -242,7 +242,7 @@ def test_a_flight_of_one_command_can_be_read_back(tmp_path, plant):
         ("gain", np.full((3, 6), np.nan)),
     ],
 )
-def test_an_invalid_start_of_a_flight_is_named(field, value, plant_m4):
+def test_an_invalid_start_pose_is_named(field, value, plant_m4):
     with rejected(field=field):
         track(M4, SetPoint(0, 0, 0), 0.1, plant=plant_m4, **{field: value})
     if field == "seed":
@@ -268,7 +268,7 @@ for field, value in (("gain", np.ones((2, 6))), ("seed", 0.5), ("pose", (0.0, 0.
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
-def test_another_number_of_propellers_is_refused():
+def test_a_different_number_of_propellers_is_rejected():
     content = default_vehicle().model_dump()
     content |= {"propellers": content["propellers"][:4], "pairs": content["pairs"][:2]}
     four = nominal_model(Vehicle.model_validate(content))
@@ -291,7 +291,7 @@ def faulty_flight(estimator, motors, plant):
 
 
 @pytest.mark.slow
-def test_a_craft_with_a_dead_motor_keeps_its_set_points_if_it_is_noticed(plant_m4):
+def test_a_craft_with_an_estimated_dead_motor_keeps_its_set_points(plant_m4):
     dead = Motors(stalls=(Stall(motor="motor_b_2", start_s=1.0, stop_s=99.0),))
     unaware, aware = (
         faulty_flight(estimator, dead, plant_m4) for estimator in ("kalman", "actuation")

@@ -98,7 +98,7 @@ def crafts(rng, count):
     return np.concatenate([motion, np.zeros((6, count))])
 
 
-def test_without_thrust_the_center_of_mass_goes_straight_and_the_spin_stays(plant):
+def test_without_thrust_the_centre_of_mass_moves_straight_with_constant_spin(plant):
     r = MODEL.parameters.center_of_mass
     first = state = craft(-0.5, 0.1, 0.4, 0.6, -0.2, 5.0)
     velocity = center_velocity(state, r)
@@ -127,7 +127,7 @@ def test_elastic_rails_without_friction_conserve_energy():
     np.testing.assert_allclose(energy(state, r), first, rtol=1e-9)
 
 
-def test_off_center_hits_turn_the_craft_about_its_center_of_mass():
+def test_off_centre_hits_turn_the_craft_about_its_centre_of_mass():
     # The impulse J at the contact points along -x and passes below the centre of mass, by r_y:
     # it turns the craft clockwise, I ω = -J r_y. The contact's normal speed equals the normal speed
     # of the middle.
@@ -142,7 +142,7 @@ def test_off_center_hits_turn_the_craft_about_its_center_of_mass():
 
 @pytest.mark.parametrize("restitution", [0.0, 0.4, 0.7, 1.0])
 @pytest.mark.parametrize(("axis", "side"), [(0, 1), (0, -1), (1, 1), (1, -1)])
-def test_a_rail_gives_back_its_share_of_the_normal_speed(axis, side, restitution):
+def test_a_rail_returns_its_share_of_the_normal_speed(axis, side, restitution):
     state = craft()
     state[axis] = side * (1.03 if axis == 0 else 0.48)
     state[3 + axis] = side * 0.8
@@ -157,7 +157,7 @@ def test_a_rail_gives_back_its_share_of_the_normal_speed(axis, side, restitution
     ("position", "normal"),
     [((1.03, 0), (1, 0)), ((-1.03, 0), (-1, 0)), ((0, 0.48), (0, 1)), ((0, -0.48), (0, -1))],
 )
-def test_a_sliding_disc_is_spun_by_friction(position, normal, slip):
+def test_friction_spins_a_sliding_disc(position, normal, slip):
     # Towards the wall at 1 m/s, along it at 2 m/s: friction μ (1 + e) slows it and turns it.
     e, mu = 0.7, 0.1
     outward = np.array(normal)
@@ -185,7 +185,7 @@ def test_friction_conserves_angular_momentum_about_the_contact(friction):
     assert momentum(after) == pytest.approx(momentum(state), rel=1e-12)
 
 
-def test_much_friction_makes_a_disc_roll():
+def test_high_friction_makes_a_disc_roll():
     # The contact stops: v = ω R, and m R v + I ω is what it was.
     after = hit(craft(y=0.48, vx=0.3, vy=1.0), Table(friction=5.0))
     rolling = 0.3 / (1 + DISC.inertia / (DISC.mass * DISC.radius**2))
@@ -194,18 +194,18 @@ def test_much_friction_makes_a_disc_roll():
     assert after[4] == pytest.approx(-0.7, rel=1e-12)
 
 
-def test_a_disc_that_rolls_along_the_rail_feels_no_friction():
+def test_a_rolling_disc_feels_no_friction_from_the_rail():
     after = hit(craft(y=0.48, vx=0.35, vy=1.0, spin=0.35 / DISC.radius), Table(friction=0.5))
     np.testing.assert_allclose(after[3:6], [0.35, -0.7, 5.0], atol=1e-12)
 
 
-def test_leaving_a_rail_costs_nothing():
+def test_leaving_a_rail_does_not_change_the_velocity():
     state = craft(x=1.031, vx=-0.5, vy=0.3, spin=2.0)
     after = advance(np, Plant(coasting(), DISC, Table()), state, IDLE, 1e-4)
     np.testing.assert_array_equal(after[3:6], state[3:6])
 
 
-def test_a_corner_turns_the_craft_back():
+def test_a_craft_rebounds_from_a_corner():
     after = hit(craft(1.03, 0.48, vx=1.0, vy=0.5), Table(restitution=0.5, friction=0.0))
     np.testing.assert_allclose(after[3:5], [-0.5, -0.25], atol=1e-12)
 
@@ -228,18 +228,18 @@ places = st.sampled_from([(1.03, 0.0), (-1.03, 0.1), (0.2, 0.48), (0.3, -0.48), 
 
 @examples(200)
 @given(motions, places, fraction, st.floats(0, 1.5))
-def test_rails_never_give_energy_to_a_disc(motion, position, restitution, friction):
+def test_rails_never_add_energy_to_a_disc(motion, position, restitution, friction):
     assert gained(motion, position, restitution, friction, (0.0, 0.0)) <= 1e-9
 
 
 @examples(200)
 @given(motions, places, st.floats(0, 0.9), st.floats(0, 1.5), st.floats(0, 5e-3))
-def test_rails_never_give_energy_to_an_off_center_disc(motion, position, restitution, friction, r):
+def test_rails_never_add_energy_to_an_off_centre_disc(motion, position, restitution, friction, r):
     assert gained(motion, position, restitution, friction, (r, 0.0)) <= 1e-9
 
 
 @pytest.mark.slow
-def test_elastic_rails_with_friction_never_give_energy_to_an_off_center_disc():
+def test_elastic_rails_with_friction_never_add_energy():
     # Kane and Levinson, "Dynamics: Theory and Applications", 1985, section 5.10.
     motion = np.array([4.70093807, 1.28510586, 0.05205187, -4.08070582]) / [3, 2, 2, 20]
     assert gained(motion, (1.03, 0.0), 1.0, 0.3, (5e-3, 0.0)) <= 1e-9
@@ -247,7 +247,7 @@ def test_elastic_rails_with_friction_never_give_energy_to_an_off_center_disc():
 
 @examples(100)
 @given(st.integers(0, 10**6), fraction, st.floats(0, 1))
-def test_after_a_hit_the_craft_leaves_the_rail_and_friction_does_not_reverse_the_slip(
+def test_after_a_hit_the_craft_leaves_the_rail_without_reversing_its_slip(
     seed, restitution, friction
 ):
     rng = np.random.default_rng(seed)
@@ -279,7 +279,7 @@ def test_a_craft_at_full_power_stays_on_the_table(plant_with_effects, restitutio
 
 
 @pytest.mark.slow
-def test_a_craft_on_a_tilted_table_comes_to_rest_in_its_lowest_corner():
+def test_a_craft_on_a_tilted_table_comes_to_rest_in_the_lowest_corner():
     plant = build_plant(MODEL, TILTED)
     state = crafts(np.random.default_rng(4), 5)
     for _ in range(12 * 240):
@@ -290,7 +290,7 @@ def test_a_craft_on_a_tilted_table_comes_to_rest_in_its_lowest_corner():
 
 
 @pytest.mark.parametrize("xp", [np, jnp])
-def test_a_batch_is_many_single_craft(plant_with_effects, xp):
+def test_a_batch_equals_single_craft(plant_with_effects, xp):
     rng, plant = np.random.default_rng(5), plant_with_effects
     batch = crafts(rng, 40)
     batch[0, :10], batch[3, :10] = 1.0299, 1.5  # some of them meet a rail, some do not
@@ -317,7 +317,7 @@ def test_compiled_and_numpy_agree(plant_with_effects):
     assert 0 < bounces < 100
 
 
-def test_thrust_scales(plant):
+def test_thrust_scales_with_effectiveness(plant):
     state, command = np.concatenate([np.zeros(6), np.full(6, 0.5)]), np.full(6, 0.5)
     state[6], command[0] = 0.9, 0.9
     full, half = (plant.advance(state, command, 1e-3, np.full(6, s))[0] for s in (1.0, 0.5))
@@ -383,12 +383,12 @@ def flown(plant, steps):
     return state
 
 
-def test_a_powered_flight_with_all_effects_is_that_of_scipy(plant_with_effects, exact):
+def test_a_powered_flight_with_all_effects_matches_scipy(plant_with_effects, exact):
     assert np.abs(exact - START)[:6].min() > 0.03  # it moves
     np.testing.assert_allclose(flown(plant_with_effects, 200), exact, rtol=1e-9, atol=1e-9)
 
 
-def test_the_longest_step_is_exact_to_micrometres(plant_with_effects, exact):
+def test_the_longest_step_is_accurate_to_micrometres(plant_with_effects, exact):
     assert np.abs(flown(plant_with_effects, 24) - exact)[:3].max() < 1e-6
 
 

@@ -24,7 +24,7 @@ def plant():
     return build_plant(MODEL)
 
 
-def test_a_shot_moves_the_craft_and_keeps_momentum_and_energy_in_bounds(plant):
+def test_a_shot_moves_the_craft_and_keeps_momentum_and_energy_bounded(plant):
     start = PuckState(0.5, 0.03, 0.0, -5.0, 0.0, 10.0)
     twin = Twin(MODEL, plant=plant, puck=start)
     twin.wait_until(0.3)
@@ -49,7 +49,7 @@ def test_a_shot_moves_the_craft_and_keeps_momentum_and_energy_in_bounds(plant):
 
 
 @pytest.mark.parametrize("speed", [0.5, 3.0])
-def test_a_craft_that_strikes_a_puck_keeps_momentum(plant, speed):
+def test_hitting_a_puck_conserves_momentum(plant, speed):
     twin = Twin(MODEL, plant=plant, puck=PuckState(0.1, 0.005))
     twin.craft.state = np.concatenate([[-0.2, 0.0, 0.3], [speed, 0, 0], twin.state[6:]])
     before = momentum(plant, twin)[:2]
@@ -80,7 +80,7 @@ def test_steps_are_short_where_a_craft_may_hit_the_puck():
     assert step(0.05, 12.5) == step(0.003)
 
 
-def test_a_puck_that_nobody_touches_changes_nothing(plant):
+def test_an_untouched_puck_does_not_affect_the_flight(plant):
     flights = []
     for puck in (None, PuckState(0.9, 0.45)):
         twin = Twin(MODEL, plant=plant, puck=puck, seed=4)
@@ -124,7 +124,7 @@ def test_puck_and_mallet_are_recorded_with_noise_and_dropped_frames(plant, write
         np.testing.assert_array_equal(back[kind].stamp_ns, recording[kind].stamp_ns)
 
 
-def test_in_a_goal_the_puck_is_not_seen(plant):
+def test_a_puck_in_a_goal_is_not_seen(plant):
     twin = Twin(MODEL, plant=plant, puck=PuckState(0.9, 0.1, 0.0, 3.0, 0.0))
     twin.wait_until(0.5)
     assert twin.play is not None
@@ -137,7 +137,7 @@ def test_in_a_goal_the_puck_is_not_seen(plant):
 
 
 @pytest.mark.slow
-def test_the_same_seed_gives_the_same_game(plant):
+def test_a_seed_determines_the_game(plant):
     def played():
         twin = Twin(MODEL, plant=plant, puck=PuckState(0.4, 0, 0, -3, 1), mallet=(0.8, 0), seed=9)
         assert twin.play is not None
@@ -162,7 +162,7 @@ def test_a_craft_and_the_mallet_do_not_overlap(plant):
     assert twin.state[3] < -0.01
 
 
-def test_steps_of_a_rounding_error_do_not_change_the_speed_of_a_hand():
+def test_steps_as_short_as_rounding_errors_keep_a_hands_speed():
     hand = HandMallet(Mallet(), Table(), 0.85, 0.0)
     hand.target = 0.3, 0.35
     for k in range(60):
@@ -176,7 +176,7 @@ def test_steps_of_a_rounding_error_do_not_change_the_speed_of_a_hand():
 
 
 @pytest.mark.parametrize("target", [(0.2, 0.3), (0.9, -0.4), (5.0, 5.0), (-5.0, 0.0)])
-def test_a_hand_keeps_to_its_limits_and_arrives(target):
+def test_a_hand_respects_its_limits_and_reaches_its_target(target):
     limits, table = Mallet(speed_m_s=3.0, acceleration_m_s2=30.0), Table()
     hand = HandMallet(limits, table, 0.6, 0.0)
     hand.target = target
@@ -197,7 +197,7 @@ def test_a_hand_keeps_to_its_limits_and_arrives(target):
     assert peak > 2.0
 
 
-def test_a_hand_without_a_target_keeps_its_place():
+def test_a_hand_without_a_target_stays_in_place():
     hand = HandMallet(Mallet(), Table(), 0.7, 0.1)
     assert hand.target == (0.7, 0.1)
     way = hand.moving(0.01)
@@ -241,7 +241,7 @@ def momentum(plant, twin):
 
 
 @pytest.mark.parametrize("speed", [0.3, 2.0, 8.0])
-def test_crafts_that_meet_keep_momentum_and_do_not_tunnel(plant, speed):
+def test_colliding_craft_conserve_momentum_and_do_not_tunnel(plant, speed):
     world, twins = two_crafts(plant, [(-0.4, 0.02, 0.3), (0.4, -0.02, 2.0)])
     for twin, sign in zip(twins, (1, -1), strict=True):
         twin.craft.state = np.concatenate([twin.state[:3], [sign * speed, 0, 0], twin.state[6:]])
@@ -276,7 +276,7 @@ def test_a_puck_between_two_craft_conserves_momentum(plant):
     np.testing.assert_allclose(given + kept, taken, atol=2e-5)
 
 
-def test_craft_at_one_place_are_left_there(plant):
+def test_coincident_craft_are_not_moved(plant):
     world, twins = two_crafts(plant, [(-0.5, 0.1, 0.3), (-0.5, 0.1, 0.3)])
     world.run(0.02)
     assert world.met == []
@@ -284,7 +284,7 @@ def test_craft_at_one_place_are_left_there(plant):
         np.testing.assert_allclose(twin.state[:3], [-0.5, 0.1, 0.3], atol=1e-9)
 
 
-def test_each_craft_sees_the_other_as_mallet(plant):
+def test_each_craft_sees_the_other_as_a_mallet(plant):
     _, twins = two_crafts(plant, [(-0.5, 0.1, 0.3), (0.6, -0.2, 2.0)])
     for twin, other in (twins, twins[::-1]):
         seen = [m.values for m in twin.wait_until(0.1) if m.kind == "mallet"]
@@ -292,7 +292,7 @@ def test_each_craft_sees_the_other_as_mallet(plant):
         np.testing.assert_allclose(np.mean(seen, axis=0), other.state[:3], atol=1e-3)
 
 
-def test_a_world_has_its_own_puck(plant):
+def test_each_world_has_its_own_puck(plant):
     world, _ = two_crafts(plant, [(-0.5, 0.0, 0.0)])
     with pytest.raises(InputError, match="come with the world"):
         Twin(MODEL, plant=plant, puck=PuckState(0, 0), world=world)

@@ -56,7 +56,7 @@ def test_without_jitter_a_packet_acts_exactly_after_its_delay():
     assert radio.command(1.03) == 7
 
 
-def test_queued_delays_are_those_of_the_link():
+def test_queued_delays_match_the_link():
     """With the same random numbers; a packet that was not seen arrived together with the next."""
     settings = Radio(delay_s=0.02, jitter_s=0.008)
     sent = PERIOD * np.arange(2000)
@@ -80,7 +80,7 @@ def test_delays_have_the_stated_mean_and_spread():
     assert late.std() == pytest.approx(0.001, rel=0.05)
 
 
-def test_much_jitter_never_changes_the_order_nor_goes_back_in_time():
+def test_jitter_never_reorders_packets_or_delivers_before_sending():
     times, numbers = received(flown(link(delay_s=0.02, jitter_s=0.06), 5000))
     assert (np.diff(numbers) > 0).all()
     assert (times >= PERIOD * (numbers - 1)).all()
@@ -88,7 +88,7 @@ def test_much_jitter_never_changes_the_order_nor_goes_back_in_time():
     assert len(numbers) < 3000
 
 
-def test_a_packet_waits_for_the_one_before_it():
+def test_a_packet_waits_for_its_predecessor():
     # Two packets 10 ms apart with delays of 50 and of 0 ms, drawn by a generator of our own.
     class Draws(np.random.Generator):
         drawn = iter([3.0, -2.0])
@@ -118,7 +118,7 @@ def test_losses_are_independent():
     assert after_loss.mean() == pytest.approx(0.7, abs=4 * math.sqrt(0.21 / len(after_loss)))
 
 
-def test_nothing_arrives_during_an_outage_and_the_last_command_holds():
+def test_nothing_arrives_during_an_outage_and_the_last_command_is_held():
     seen = flown(link(delay_s=0.02, outages_s=((0.503, 0.603),)), 100)
     times, numbers = received(seen)
     assert not ((times >= 0.503) & (times < 0.603)).any()
@@ -150,7 +150,7 @@ def test_a_long_outage_stops_the_motors():
     assert again[0] == pytest.approx(0.9, abs=1e-9)
 
 
-def test_loss_takes_packets_away_without_moving_the_others():
+def test_losses_do_not_change_the_arrival_of_other_packets():
     jitter = {"jitter_s": 0.001, "delay_s": 0.02}
     whole, part = (received(flown(link(3, loss=p, **jitter), 500)) for p in (0.0, 0.3))
     np.testing.assert_array_equal(part[0], whole[0][np.isin(whole[1], part[1])])
@@ -169,7 +169,7 @@ spans = st.tuples(st.floats(0, 1), st.floats(0, 0.3)).map(lambda s: (s[0], s[0] 
     outages=st.lists(spans, max_size=2).map(tuple),
     sending=st.lists(st.floats(0, 0.3), min_size=1, max_size=30),
 )
-def test_the_next_change_is_never_past_and_nothing_changes_before_it(
+def test_the_next_change_is_never_in_the_past_and_nothing_changes_before(
     seed, delay, jitter, loss, timeout, outages, sending
 ):
     radio = link(
@@ -206,7 +206,7 @@ DELAYS = [0.0, 0.004, 0.021, 0.05]
         Radio(loss=1.0),
     ],
 )
-def test_each_craft_of_a_batch_receives_the_packets_of_a_single_twin(radio, unarmed):
+def test_each_craft_of_a_batch_receives_the_same_packets_as_a_twin(radio, unarmed):
     flown = changed(default_twin_settings(), radio=radio, motors={"unarmed_s": unarmed})
     sent = 0.01 * np.arange(120)
     seeds = range(600)

@@ -57,13 +57,13 @@ def test_noise_is_white_and_normal_with_the_stated_size():
     assert np.abs(np.corrcoef(errors.T) - np.eye(3)).max() < 4 / math.sqrt(8000)
 
 
-def test_the_true_state_of_the_caller_is_not_modified():
+def test_the_callers_true_state_is_not_modified():
     truth = np.array([0.0, 0.0, 9.0])
     sensor(noise=NOISE).measure(truth)
     np.testing.assert_array_equal(truth, [0, 0, 9])
 
 
-def test_yaw_is_wrapped_with_its_noise():
+def test_yaw_is_wrapped_after_adding_noise():
     values = measured(sensor(noise=(0, 0, 0.01)), 500, (0.0, 0.0, 3 * math.pi)).values
     assert (np.abs(values[:, 2]) <= math.pi).all()
     assert (values[:, 2] > 0).any()
@@ -71,13 +71,13 @@ def test_yaw_is_wrapped_with_its_noise():
     np.testing.assert_allclose(np.abs(values[:, 2]), math.pi, atol=0.06)
 
 
-def test_only_a_poses_yaw_is_wrapped():
+def test_only_the_yaw_of_a_pose_is_wrapped():
     stream = measured(sensor(kind="imu", noise=(0.0,) * 6), 2, (1, 2, 9.81, 4, 5, 6))
     np.testing.assert_array_equal(stream.values, [[1, 2, 9.81, 4, 5, 6]] * 2)
     assert stream.columns == ("ax_m_s2", "ay_m_s2", "az_m_s2", "gx_rad_s", "gy_rad_s", "gz_rad_s")
 
 
-def test_latency_is_a_constant_plus_an_exponential():
+def test_latency_is_constant_plus_exponential():
     # At 10 Hz no message catches up with the one before it.
     stream = measured(sensor(rate=10.0, latency=(0.002, 0.004)), 4000)
     late = (stream.received_ns - stream.stamp_ns) * 1e-9 - 0.002
@@ -100,7 +100,7 @@ def test_samples_are_dropped_at_the_stated_rate(share):
     )
 
 
-def test_dropping_leaves_the_other_samples_as_they_were():
+def test_dropping_does_not_change_the_other_samples():
     whole, part = (
         measured(sensor(4, rate=10.0, noise=NOISE, latency=(0.0, 1e-3), dropped=p), 300)
         for p in (0.0, 0.3)
@@ -111,20 +111,20 @@ def test_dropping_leaves_the_other_samples_as_they_were():
     np.testing.assert_array_equal(part.received_ns, whole.received_ns[kept])
 
 
-def test_in_a_gap_there_is_no_sample():
+def test_gaps_contain_no_samples():
     stamps = seconds(measured(sensor(rate=100.0, gaps=((0.5, 0.75), (1.5, 1.6))), 200).stamp_ns)
     missing = np.setdiff1d(np.arange(200), np.rint(stamps * 100))
     np.testing.assert_array_equal(missing, [*range(50, 75), *range(150, 160)])
 
 
-def test_the_clock_has_an_offset_and_a_drift_but_the_recorder_has_not():
+def test_the_camera_clock_has_offset_and_drift_but_the_recorder_does_not():
     stream = measured(sensor(stamped=clock(5.0, 1e-4), latency=(0.001, 0.0)), 240 * 20)
     time = np.arange(240 * 20) / 240
     np.testing.assert_allclose(seconds(stream.stamp_ns), 5.0 + 1.0001 * time, atol=2e-9)
     np.testing.assert_allclose(seconds(stream.received_ns), time + 0.001, atol=2e-9)
 
 
-def test_stamps_in_whole_milliseconds_are_off_by_half_a_millisecond_at_most():
+def test_stamps_in_whole_milliseconds_are_off_by_at_most_half_a_millisecond():
     stream = measured(sensor(stamped=clock(0.0, 0.0, step=1e-3), rate=120.0), 1200)
     stamps = 1e3 * seconds(stream.stamp_ns)
     np.testing.assert_allclose(stamps, np.rint(stamps), atol=1e-5)
@@ -133,7 +133,7 @@ def test_stamps_in_whole_milliseconds_are_off_by_half_a_millisecond_at_most():
     assert np.std(off) == pytest.approx(0.29, abs=0.03)
 
 
-def test_what_is_delivered_is_what_is_logged():
+def test_delivered_measurements_are_logged():
     one = sensor(noise=NOISE, latency=(0.001, 0.001), dropped=0.1, stamped=clock(5.0, 0.5))
     stream = measured(one, 200)
     found = one.arrived(math.inf)
@@ -151,7 +151,7 @@ def test_what_is_delivered_is_what_is_logged():
     st.floats(0, 0.9),
     st.lists(st.floats(0, 0.1), min_size=1, max_size=20),
 )
-def test_each_measurement_is_delivered_once_and_none_before_it_arrives(
+def test_each_measurement_is_delivered_once_and_not_before_it_arrives(
     seed, least, jitter, dropped, waits
 ):
     one = sensor(seed, latency=(least, jitter), dropped=dropped)
@@ -170,6 +170,6 @@ def test_each_measurement_is_delivered_once_and_none_before_it_arrives(
     assert len(stamps) == len(one.stream())
 
 
-def test_a_sensor_that_measured_nothing_has_an_empty_stream():
+def test_a_sensor_without_measurements_has_an_empty_stream():
     assert len(sensor().stream()) == 0
     assert sensor().arrived(1.0) == []

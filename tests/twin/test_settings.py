@@ -49,7 +49,7 @@ EVERYTHING = TwinSettings(
 )
 
 
-def test_motors_of_the_packaged_twin_start_unless_failing_starts_are_named():
+def test_motors_of_the_packaged_twin_start_unless_failures_are_configured():
     usual, failing = default_twin_settings(), read_twin_settings("paper:starts")
     assert usual.starts.failing(0.1) == 0.0
     # Most starts fail after short rests: an ESC restarts a rotor that still turns.
@@ -60,14 +60,14 @@ def test_motors_of_the_packaged_twin_start_unless_failing_starts_are_named():
 @pytest.mark.parametrize(
     "text", ["rest_s = [0.1]", "rest_s = [0.2, 0.1]\nfailed = [0.1, 0.1]", "failed = [2.0]"]
 )
-def test_starts_need_a_fraction_for_each_of_increasing_rests(tmp_path, text):
+def test_failing_starts_need_a_probability_for_each_of_increasing_rests(tmp_path, text):
     (tmp_path / "twin.toml").write_text(f"[starts]\n{text}")
     with pytest.raises(InputError, match="starts"):
         read_twin_settings(tmp_path / "twin.toml")
 
 
 @pytest.mark.parametrize("settings", [EVERYTHING, default_twin_settings()])
-def test_settings_survive_a_file(tmp_path, settings):
+def test_settings_round_trip(tmp_path, settings):
     settings.save(tmp_path / "twin.toml")
     assert read_twin_settings(tmp_path / "twin.toml") == settings
 
@@ -89,7 +89,7 @@ def test_every_field_of_the_full_example_differs_from_its_default():
         ("[effects]\ntilt_rad = [0.01, 0.0]", "effects", "tilt_rad", (0.01, 0.0)),
     ],
 )
-def test_a_file_changes_what_it_names_and_nothing_else(tmp_path, text, section, key, value):
+def test_a_file_changes_only_the_fields_that_it_names(tmp_path, text, section, key, value):
     path = tmp_path / "twin.toml"
     path.write_text(text)
     packaged = default_twin_settings()
@@ -98,7 +98,7 @@ def test_a_file_changes_what_it_names_and_nothing_else(tmp_path, text, section, 
     assert read_twin_settings(path) == packaged.model_copy(update={section: changed})
 
 
-def test_the_delay_is_that_of_the_model_unless_the_radio_has_its_own():
+def test_the_delay_comes_from_the_model_unless_the_radio_states_its_own():
     settings = default_twin_settings()
     assert settings.radio.delay_s is None
     assert settings.with_usual_delay(0.05).radio == settings.radio.model_copy(
@@ -139,14 +139,14 @@ def test_the_delay_is_that_of_the_model_unless_the_radio_has_its_own():
         ('[[motors.stalls]]\nmotor = "motor_a_1"\nstart_s = 1.0', "motors.stalls.0.stop_s"),
     ],
 )
-def test_a_wrong_entry_is_named(tmp_path, text, field):
+def test_an_invalid_entry_is_named(tmp_path, text, field):
     path = tmp_path / "twin.toml"
     path.write_text(text)
     with rejected(path, field=field):
         read_twin_settings(path)
 
 
-def test_the_packaged_settings_are_those_of_the_paper_without_faults():
+def test_the_packaged_settings_match_the_paper_without_faults():
     settings = default_twin_settings()
     assert (settings.table.length_m, settings.table.width_m) == (2.2, 1.1)
     assert settings.motion_capture.rate_hz == 240

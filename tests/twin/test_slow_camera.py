@@ -18,7 +18,7 @@ GOAL = (0.1, 0.05, 0.3)
 
 @pytest.mark.slow
 @pytest.mark.parametrize("law", ["lqr", "mpc"])
-def test_it_settles_at_a_set_point(law: str) -> None:
+def test_a_craft_seen_by_a_slow_camera_settles_at_a_set_point(law: str) -> None:
     model = nominal_model(read_vehicle(FREE_FLYERS / "atmos.toml"))
     settings = read_twin_settings(FREE_FLYERS / "twin.toml")
     camera = {"rate_hz": 8.0, "latency_s": 0.1, "latency_jitter_s": 0.005}

@@ -14,7 +14,7 @@ def flight(seed):
     return study("robustness").flown(seed)
 
 
-def test_a_study_without_its_data_ends_with_one_line():
+def test_a_study_without_its_data_ends_in_one_line():
     code = "from airpuck import load_trajectory; from one_line import run; "
     code += "run(lambda: load_trajectory('nowhere') and None)"
     process = subprocess.run(
@@ -32,7 +32,7 @@ def test_a_study_without_its_data_ends_with_one_line():
 
 
 @pytest.mark.study
-def test_a_bad_radio_neither_misses_a_set_point_nor_touches_a_rail():
+def test_over_a_bad_radio_set_points_are_reached_without_touching_a_rail():
     with ProcessPoolExecutor() as pool:
         flights = list(pool.map(flight, range(100)))
     assert all(one["reached"] for one in flights)
@@ -40,7 +40,7 @@ def test_a_bad_radio_neither_misses_a_set_point_nor_touches_a_rail():
 
 
 @pytest.mark.study
-def test_the_truth_is_recovered():
+def test_the_true_parameters_are_recovered():
     recovery = study("recovery")
     truth = recovery.truth()
     plant = recovery.build_plant(truth)
@@ -57,7 +57,7 @@ def fault_study(seed, healthy):
 
 
 @pytest.mark.study
-def test_faults_are_found_and_healthy_flights_lose_nothing(monkeypatch):
+def test_faults_are_found_and_nothing_is_excluded_from_healthy_flights(monkeypatch):
     monkeypatch.syspath_prepend(str(STUDIES))
     faulty = [fault_study(seed, False) for seed in range(10)]
     visible = [fault for one in faulty for fault in one.faults if fault[1]]

@@ -36,7 +36,7 @@ def imitated():
 
 
 @pytest.mark.slow
-def test_a_flight_is_imitated_from_where_it_began(imitated):
+def test_a_simulation_starts_where_the_real_flight_did(imitated):
     real, twin = imitated.real, imitated.twin
     np.testing.assert_allclose(twin.pose[0], POSES[0], atol=5e-3)
     np.testing.assert_allclose(twin.set_points.times, real.set_points.times, atol=0.011)
@@ -47,7 +47,7 @@ def test_a_flight_is_imitated_from_where_it_began(imitated):
 
 
 @pytest.mark.slow
-def test_all_moves_of_a_flight_are_reported_however_many(imitated):
+def test_all_moves_of_a_flight_are_reported(imitated):
     content = imitated.to_json()
     for key in ("setpoints", "flight_setpoints"):
         found = [list(result["set_point"].values()) for result in content[key]]
@@ -75,7 +75,7 @@ def test_missing_poses_at_the_end_of_a_dwell_are_reported(tmp_path):
 
 
 @pytest.mark.slow
-def test_both_laws_fly_the_same_and_the_predictive_one_is_faster():
+def test_both_laws_fly_the_same_task_and_the_predictive_one_is_faster():
     points = SetPoints([0.0, 0.3], [(0.0, 0.0, 0.0), (0.5, 0.2, 1.0)])
     lqr, mpc = tracking_study([M4], M4, set_points=points, dwell=1.4, seed=2, laws=("lqr", "mpc"))
     assert [flight.label for flight in (lqr, mpc)] == ["M4 lqr", "M4 mpc"]
@@ -131,7 +131,7 @@ def test_controllers_are_compared_on_the_same_craft_and_noise():
     assert len(repr(found).splitlines()) == 4
 
 
-def test_figures_of_a_comparison_are_those_of_single_flights():
+def test_comparison_figures_match_single_flights():
     points = SetPoints([0.0, 0.2], [(0.0, 0.0, 0.0), (0.3, 0.1, 0.0)])
     found = compare_controllers(M4, ["lqr"], flights=1, spread=0.0, dwell=1.5, set_points=points)
     (flown,) = tracking_study([M4], M4, set_points=points, dwell=1.5, controller="full")
@@ -139,7 +139,7 @@ def test_figures_of_a_comparison_are_those_of_single_flights():
     assert found.figures["effort"][0, 0] == flown.results[-1].effort
 
 
-def test_a_law_flies_the_same_by_its_name_by_its_class_and_as_an_object():
+def test_a_law_flies_the_same_given_by_name_class_or_object():
     points = SetPoints([0.0, 0.1], [(0.0, 0.0, 0.0), (0.1, 0.0, 0.0)])
     laws = ["lqr", airpuck.LQR, airpuck.LQR(M4, airpuck.default_tuning())]
     found = compare_controllers(M4, laws, flights=1, dwell=0.3, set_points=points)
@@ -166,7 +166,7 @@ def test_a_flight_that_misses_a_set_point_has_no_settling_time():
     assert np.isnan(found.figures["settling_time_s"][0, 0])
 
 
-def test_a_comparison_says_who_did_not_settle():
+def test_a_comparison_names_laws_that_did_not_settle():
     figures = {
         "settling_time_s": np.array([[1.0, 2.0], [np.nan, np.nan], [np.nan, 2.5]]),
         "not_settled": np.array([[0.0, 0.0], [1.0, 3.0], [1.0, 0.0]]),
@@ -197,6 +197,6 @@ def test_a_comparison_says_who_did_not_settle():
         ),
     ],
 )
-def test_a_comparison_without_sense_is_refused(options, words):
+def test_invalid_comparison_options_are_rejected(options, words):
     with pytest.raises(InputError, match=words):
         airpuck.compare_controllers(M4, **options)

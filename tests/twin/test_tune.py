@@ -39,7 +39,7 @@ def found():
 
 
 @pytest.mark.slow
-def test_other_craft_must_follow_more_closely_with_no_more_effort(found):
+def test_tuning_follows_other_craft_more_closely_with_no_more_effort(found):
     before, after = found.before, found.after
     assert after.error_m < 0.9 * before.error_m
     assert after.effort < 1.02 * before.effort
@@ -52,7 +52,7 @@ def test_other_craft_must_follow_more_closely_with_no_more_effort(found):
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")  # python-control's, of filters with delays
-def test_flights_find_the_delay_margin_of_the_linear_loop(found):
+def test_flown_delay_margins_match_the_linear_loop(found):
     for tuning, flown in ((tuning_for(M3), found.before), (found.tuning, found.after)):
         linear = study("tuned").margins(M3, tuning)
         # Bisection is accurate to 5 ms, the linear loop to half a period.
@@ -80,12 +80,12 @@ def users_law(folder, tuned, table=""):
         ('tuned = "inner.weight"', "Settings.tuned: must be names of its numbers"),
     ],
 )
-def test_a_law_must_name_numbers_that_may_change(tmp_path, tuned, said):
+def test_a_law_must_name_its_tunable_numbers(tmp_path, tuned, said):
     with pytest.raises(airpuck.InputError, match=said):
         airpuck.tune(M3, users_law(tmp_path, tuned), trials=1)
 
 
-def test_tuning_needs_a_number_above_zero(tmp_path):
+def test_tuning_needs_at_least_one_positive_number(tmp_path):
     (tmp_path / "mine.py").write_text(
         LAW.format(tuned='tuned = ("inner.weight",)', seen="").replace("= 1.0", "= 0.0")
     )
@@ -97,7 +97,7 @@ def test_tuning_needs_a_number_above_zero(tmp_path):
 
 
 @pytest.mark.slow
-def test_trials_change_the_weights_of_a_users_law_where_the_file_has_them(tmp_path):
+def test_trials_change_the_weights_of_a_user_law_where_its_file_has_them(tmp_path):
     (tmp_path / "sub").mkdir()
     # The table may name the law by another path to the same file.
     table = f'[law."{tmp_path}/sub/../mine.py:Mine".inner]\nweight = 3.0'
@@ -112,13 +112,13 @@ def test_trials_change_the_weights_of_a_users_law_where_the_file_has_them(tmp_pa
     assert airpuck.read_tuning(tmp_path / "tuning.toml") == found.tuning
 
 
-def test_no_trials_are_refused():
+def test_zero_trials_are_rejected():
     with pytest.raises(airpuck.InputError, match="trials: must be from 1 to 1000"):
         airpuck.tune(M3, trials=0)
 
 
 @pytest.mark.slow
-def test_the_command_writes_a_tuning_that_others_read(tmp_path):
+def test_the_command_writes_a_tuning_that_others_can_read(tmp_path):
     out, figures = tmp_path / "tuning.toml", tmp_path / "tuned.json"
     said = ran("tune", "paper:M3", "-o", out, "--trials", 1, "--json", figures)
     found = json.loads(figures.read_text())
@@ -130,7 +130,7 @@ def test_the_command_writes_a_tuning_that_others_read(tmp_path):
     assert f"{1e3 * found['after']['error_m']:.3g}" in said.stdout
 
 
-def test_a_law_without_weights_is_refused_by_its_option(tmp_path):
+def test_a_law_without_weights_is_rejected_naming_the_option(tmp_path):
     tried = command("tune", "paper:M3", "--law", "plan", "-o", tmp_path / "tuning.toml")
     assert refused(tried, "law: 'plan' has no weights to tune; choose lqr, mpc")
     assert not any(tmp_path.iterdir())

@@ -83,7 +83,7 @@ def quiet(plant):
     return flown(QUIET, signals(1.6), plant)
 
 
-def test_the_same_seed_gives_the_same_bytes_and_another_seed_others(tmp_path, plant):
+def test_a_seed_determines_the_bytes_of_a_recording(tmp_path, plant):
     for name, seed in (("one", 1), ("two", 1), ("six", 6)):
         twin, _ = flown(NOISY, signals(1.0), plant, seed=seed)
         write_bag(twin.recording(), tmp_path / name / "bag")
@@ -195,13 +195,13 @@ def test_a_radio_clips_commands_and_rejects_nan(plant):
 
 
 @pytest.mark.parametrize(("value", "span"), [(30.0, "0.2 to 30"), (-5.0, "-5 to 0.2")])
-def test_one_command_in_another_unit_is_refused(plant, value, span):
+def test_one_command_in_another_unit_is_rejected(plant, value, span):
     command = np.where(np.arange(6) == 2, value, 0.2)
     with pytest.raises(InputError, match=f"command: goes from {span}, but motors take 0 to 1"):
         Twin(MODEL, QUIET, plant=plant).send(command)
 
 
-def test_without_noise_poses_are_the_truth_and_other_sensors_its_derivatives(quiet):
+def test_without_noise_poses_are_exact_and_other_sensors_their_derivatives(quiet):
     twin, heard = quiet
     times, states = twin.truth
     poses = np.array([m.values for m in heard if m.kind == "pose"])
@@ -231,7 +231,7 @@ def test_without_noise_poses_are_the_truth_and_other_sensors_its_derivatives(qui
     assert np.ptp(values[:, :2], axis=0).min() > 1
 
 
-def test_a_recording_holds_what_was_sent_announced_and_measured(quiet):
+def test_a_recording_contains_what_was_sent_announced_and_measured(quiet):
     twin, heard = quiet
     recording = twin.recording()
     commands = recording["command"]
@@ -260,21 +260,21 @@ def excited(settings, plant):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("delay", [0.01, 0.0208, 0.04])
-def test_preprocessing_finds_the_delay_to_a_sample_though_frames_are_missing(plant, delay):
+def test_preprocessing_finds_the_delay_to_one_sample_despite_lost_frames(plant, delay):
     settings = changed(NOISY, radio={"delay_s": delay})
     assert preprocess(excited(settings, plant), MODEL.vehicle).delay == pytest.approx(
         delay, abs=1.5 / 240
     )
 
 
-def test_a_craft_without_commands_stays_at_rest(plant):
+def test_a_craft_that_receives_no_commands_stays_at_rest(plant):
     twin = Twin(MODEL, QUIET, plant=plant, pose=(0.4, -0.2, 1.0))
     twin.wait_until(0.5)
     np.testing.assert_array_equal(twin.state, [0.4, -0.2, 1.0, *[0.0] * 9])
     assert set(twin.recording().streams) == {"pose", "imu", "mouse"}
 
 
-def test_without_sensors_on_board_there_are_only_poses(plant):
+def test_without_onboard_sensors_there_are_only_poses(plant):
     settings = QUIET.model_copy(update={"on_board": OnBoard(rate_hz=0.0)})
     twin = Twin(MODEL, settings, plant=plant)
     assert {m.kind for m in twin.wait_until(0.2)} == {"pose"}
@@ -288,7 +288,7 @@ def test_waiting_ends_at_the_requested_time(plant):
         assert twin.now == time
 
 
-def test_contacts_with_a_rail_are_noted(plant):
+def test_contacts_with_a_rail_are_recorded(plant):
     reach = QUIET.table.reach(MODEL.vehicle.radius_m)[1]
     assert flown(QUIET, np.full((50, 6), 0.03), plant)[0].contacts == []
     push = np.full((50, 6), 0.03)
@@ -302,7 +302,7 @@ def test_contacts_with_a_rail_are_noted(plant):
     assert twin.contacts == sorted(twin.contacts)
 
 
-def test_a_twin_without_logs_measures_the_same(plant):
+def test_a_twin_without_logs_measures_the_same_values(plant):
     heard = []
     for logs in (True, False):
         twin = Twin(MODEL, QUIET, seed=2, plant=plant, logs=logs)
@@ -313,7 +313,7 @@ def test_a_twin_without_logs_measures_the_same(plant):
         np.testing.assert_array_equal(one.values, other.values)
 
 
-def test_the_speed_of_a_contact_is_the_one_towards_the_rail(plant):
+def test_the_speed_of_a_contact_is_normal_to_the_rail(plant):
     """The craft meets the rail slowly while it moves fast along it."""
     reach = QUIET.table.reach(MODEL.vehicle.radius_m)[0]
     push = np.full((60, 6), 0.03)
@@ -326,7 +326,7 @@ def test_the_speed_of_a_contact_is_the_one_towards_the_rail(plant):
     assert speed == pytest.approx(before[3], rel=0.05)
 
 
-def test_a_table_or_a_world_that_cannot_be_is_refused(plant):
+def test_a_table_smaller_than_the_craft_and_an_incomplete_world_are_rejected(plant):
     small = QUIET.model_copy(update={"table": Table(length_m=0.2, width_m=0.12, goal_width_m=0.1)})
     with pytest.raises(InputError, match="table: is smaller than the craft"):
         Twin(MODEL, small, plant=plant)

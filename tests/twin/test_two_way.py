@@ -47,7 +47,7 @@ def test_a_wheel_turns_the_craft_until_its_speed_limit(tmp_path: Path) -> None:
     assert np.abs(after[:2]).max() < 1e-12
 
 
-def test_a_drive_changes_when_the_wheel_reaches_its_largest_speed(tmp_path: Path) -> None:
+def test_the_drive_changes_when_the_wheel_reaches_its_speed_limit(tmp_path: Path) -> None:
     model = nominal_model(triangle(tmp_path, **LIGHT))
     driver = driver_of(model.vehicle.actuation)
     command = np.array([0.5, 0.0, 0.0, 1.0])
@@ -58,12 +58,12 @@ def test_a_drive_changes_when_the_wheel_reaches_its_largest_speed(tmp_path: Path
     assert driver.next_change(1.01 * reached, lambda _: command) == np.inf
 
 
-def test_a_wheel_follows_a_speed(tmp_path: Path) -> None:
+def test_a_wheel_follows_a_commanded_speed(tmp_path: Path) -> None:
     model = nominal_model(triangle(tmp_path, 'commanded = "speed"', **LIGHT)).with_delay(0.0)
     assert flown(model, [0, 0, 0, -0.25], 0.6)[5] == pytest.approx(MOST_SPIN / 4, rel=1e-3)
 
 
-def test_a_propeller_pushes_back_by_its_own_strength(tmp_path: Path) -> None:
+def test_a_propeller_has_its_own_reverse_thrust(tmp_path: Path) -> None:
     model = nominal_model(triangle(tmp_path)).with_delay(0.0)
     forth, back = (flown(model, [sign, 0, 0, 0], 0.2)[3] for sign in (1.0, -1.0))
     assert back == pytest.approx(-forth / 2, rel=1e-6)

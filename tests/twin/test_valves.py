@@ -76,7 +76,7 @@ PERIODS = {"pwm_period_s": 0.1, "rise_s": 0.01, "fall_s": 0.01}
     ],
     ids=["32 ms", "5 ms", "0.2 s", "the least time", "duty cycles", "packets in a period"],
 )
-def test_pulses_have_the_impulse_computed_by_hand(times, sent, expected) -> None:
+def test_pulses_have_the_impulse_of_a_hand_calculation(times, sent, expected) -> None:
     _, speed = flown(craft(**times), *sent, until=1.0)
     assert speed == pytest.approx(expected / MASS, rel=2e-3)
 
@@ -87,7 +87,7 @@ def test_nothing_moves_before_the_dead_time() -> None:
     assert flown(craft(), (0.1, 1.0), until=0.118)[1] > 0.0
 
 
-def test_full_duty_does_not_close_between_periods() -> None:
+def test_a_valve_at_full_duty_stays_open_between_periods() -> None:
     pwm, switch = craft(pwm_period_s=0.1), craft()
     ends = [flown(m, (0.0, 1.0), (0.3, 0.0), until=0.8) for m in (pwm, switch)]
     np.testing.assert_allclose(*ends, rtol=1e-6)
@@ -124,7 +124,7 @@ class Halved(ActuatorKind):
     ],
     ids=["halved", "late", "switches", "pulses"],
 )
-def test_the_twin_drives_actuators_as_recordings_are_read(kind):
+def test_the_twin_drives_actuators_like_recordings_are_interpreted(kind):
     random, period = np.random.default_rng(3), 0.1
     sent = period * np.arange(30)
     command = random.random((30, 3)) * (random.random((30, 3)) < 0.7)

@@ -65,19 +65,19 @@ from airpuck.web.requests import (
         ("[2001:db8::7]:8080", None, "::", True),
     ],
 )
-def test_who_is_refused(host, origin, served, allowed):
+def test_requests_from_other_sites_are_rejected(host, origin, served, allowed):
     origins = [] if origin is None else [origin]
     assert (refusal([host], origins, served) is None) == allowed
 
 
-def test_headers_given_twice_or_not_at_all():
+def test_duplicate_and_missing_headers_are_rejected():
     ours = "127.0.0.1:8080"
     assert refusal([], [], "127.0.0.1")
     assert refusal([ours, "evil.example"], [], "127.0.0.1")
     assert refusal([ours], [f"http://{ours}", "http://evil.example"], "127.0.0.1")
 
 
-def test_a_wish_as_the_page_writes_it():
+def test_a_mallet_target_has_the_page_format():
     # DataView: Uint32, then Float32 three times, all little-endian.
     data = bytes([7, 0, 0, 0]) + bytes([0, 0, 0, 0x3F]) + bytes([0, 0, 0x80, 0xBE])
     data += bytes([0, 0, 0x80, 0x3F])
@@ -93,7 +93,7 @@ def test_a_wish_as_the_page_writes_it():
         ({"do": "think", "on": True}, Order("think", on=True)),
     ],
 )
-def test_orders(order, meant):
+def test_orders_of_a_page_are_read(order, meant):
     assert read_message(json.dumps(order)) == meant
 
 
@@ -119,17 +119,17 @@ def test_orders(order, meant):
         struct.pack("<Ifff", 1, 0.0, 0.0, math.nan),
     ],
 )
-def test_garbage_is_none(message):
+def test_invalid_messages_are_ignored(message):
     assert read_message(message) is None
 
 
 @given(st.one_of(st.binary(max_size=80), st.text(max_size=80)))
-def test_anything_else_is_none_or_sound(message):
+def test_any_message_is_ignored_or_has_finite_numbers(message):
     found = read_message(message)
     assert not isinstance(found, Wish) or all(map(math.isfinite, found))
 
 
-def test_a_state_as_the_page_reads_it():
+def test_a_state_has_the_page_format():
     state = packed_state(1.5, 9, True, (1, 2, 3, 0, 0, 0), (4, 5, 6, 7), (8, 9, 10, 0), (0.5, 1.0))
     assert len(state) == 16 + 4 * 12
     assert struct.unpack_from("<dIB", state) == (1.5, 9, 1)

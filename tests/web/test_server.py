@@ -41,7 +41,7 @@ def news(page, kind: str) -> dict:
             return found
 
 
-def test_the_files_and_nothing_else(arena):
+def test_only_the_listed_files_are_served(arena):
     connection = http.client.HTTPConnection("127.0.0.1", arena.port, timeout=5)
 
     def get(path: str, **headers: str) -> http.client.HTTPResponse:
@@ -117,7 +117,7 @@ def test_every_page_of_the_live_view_may_move_the_set_point():
         assert arena.silent()
 
 
-def test_a_page_that_comes_late_hears_the_status(arena):
+def test_a_late_page_receives_the_status(arena):
     status = {"is": "status", "phase": "play", "score": [2, 3]}
     with arena.page() as first:
         arena.pipe.send_bytes(SCENE + json.dumps(status).encode())
@@ -126,7 +126,7 @@ def test_a_page_that_comes_late_hears_the_status(arena):
             assert news(second, "status") == status
 
 
-def test_thoughts_go_to_those_who_ask(arena):
+def test_thoughts_are_sent_only_to_pages_that_requested_them(arena):
     with arena.page() as first, arena.page() as second:
         arena.hears("sit")
         news(second, "role")
@@ -148,7 +148,7 @@ def test_thoughts_go_to_those_who_ask(arena):
     "garbage",
     ["", "{", '{"do": "leave"}', "x" * 200, b"\xff" * 16, b"\0" * 100, "\N{BILLIARDS}" * 20],
 )
-def test_garbage_ends_the_connection_and_nothing_else(arena, garbage):
+def test_an_invalid_message_closes_only_its_connection(arena, garbage):
     with arena.page() as good:
         news(good, "role")
         arena.hears("sit")
@@ -162,7 +162,7 @@ def test_garbage_ends_the_connection_and_nothing_else(arena, garbage):
         assert arena.silent()
 
 
-def test_an_endless_message_ends_the_connection(arena):
+def test_an_endless_message_closes_its_connection(arena):
     with arena.page() as bad, contextlib.suppress(exceptions.ConnectionClosed, OSError):
         # Never complete: one fragment after the other.
         bad.send(b"\0" * 1000 for _ in range(10_000))
@@ -171,7 +171,7 @@ def test_an_endless_message_ends_the_connection(arena):
     arena.hears("sit", "leave")
 
 
-def test_bytes_that_are_no_frames(arena):
+def test_bytes_that_are_not_frames_harm_no_other_page(arena):
     with socket.create_connection(("127.0.0.1", arena.port), timeout=5) as bare:
         bare.sendall(os.urandom(4096))
         with contextlib.suppress(OSError):
@@ -181,7 +181,7 @@ def test_bytes_that_are_no_frames(arena):
         assert news(page, "role")["role"] == "player"
 
 
-def test_a_flood_is_cut_off_and_others_play_on(arena):
+def test_a_flooding_page_is_disconnected_and_others_continue(arena):
     with arena.page() as good:
         news(good, "role")
         arena.hears("sit")
@@ -195,7 +195,7 @@ def test_a_flood_is_cut_off_and_others_play_on(arena):
         assert arena.heard() == (WISH, (1, 0.5, 0.5, 0.0))
 
 
-def test_no_more_pages_than_it_can_serve(arena):
+def test_pages_beyond_the_limit_are_rejected(arena):
     from websockets.asyncio.client import connect
 
     async def come() -> list[int]:
@@ -212,7 +212,7 @@ def test_no_more_pages_than_it_can_serve(arena):
     assert asyncio.run(come()) == [101] * 32 + [503] * 8
 
 
-def test_a_slow_page_gets_the_newest_state_not_a_queue(arena):
+def test_a_slow_page_gets_the_newest_state_instead_of_a_queue(arena):
     """It reads nothing for two seconds, in which 60 MB are sent."""
     size, count = 30_000, 2000
     with arena.page(max_queue=1) as slow, arena.page() as quick:
@@ -245,7 +245,7 @@ def asleep(port: int) -> socket.socket:
 
 
 @pytest.mark.parametrize("busy", [False, True], ids=["paused", "playing"])
-def test_a_page_that_falls_asleep_loses_its_seat(busy):
+def test_a_page_that_stops_responding_loses_its_seat(busy):
     """Either its buffer is full, so that no ping arrives, or it does not answer pings."""
     with (
         contextlib.closing(Arena(HELLO, patience=0.3)) as arena,
@@ -265,7 +265,7 @@ def test_a_page_that_falls_asleep_loses_its_seat(busy):
         assert news(awake, "role")["role"] == "player"
 
 
-def test_it_ends_with_the_game(arena):
+def test_the_server_ends_with_the_game(arena):
     with arena.page() as page:
         news(page, "role")
         os.kill(arena.process.pid, signal.SIGINT)  # only the game reacts to Ctrl-C
@@ -277,7 +277,7 @@ def test_it_ends_with_the_game(arena):
     arena.pipe = multiprocessing.Pipe()[0]
 
 
-def test_orders_are_kept_while_the_game_stands_still_and_of_wishes_the_newest(arena):
+def test_a_stalled_game_receives_all_orders_but_only_the_newest_target(arena):
     with arena.page() as page:
         news(page, "role")
         page.send('{"do": "level", "level": "easy"}')

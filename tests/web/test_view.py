@@ -48,7 +48,7 @@ def test_times_are_compared_with_their_limits():
     assert timing_gauges({"pose_age_ms": "what"}) == []
 
 
-def test_the_plan_is_shown_while_it_is_news():
+def test_a_plan_is_shown_only_while_it_is_recent():
     figures = {"limits": "motor, rail", "bound by": "motion"}
     shown = plan_gauges(10.0, "softened", figures, 11.0)
     assert shown == [Gauge("plan", "softened"), Gauge("limits ahead", "motor, rail")]
@@ -56,7 +56,7 @@ def test_the_plan_is_shown_while_it_is_news():
     assert plan_gauges(10.0, "softened", figures, 13.0) == []
 
 
-def test_what_a_controller_finds_is_shown_while_it_flies():
+def test_findings_of_a_controller_are_shown_while_it_flies():
     found = ActuationEstimate(np.array([0.62, 1.0]), np.array([0.03, 0.1]), {}, 0.0124, 0.001)
     beat = 10.0, "exact", {"missed_deadlines": "0", **found.figures(["left", "right"])}
     beats = {"airpuck fly craft_2": beat, "airpuck record": (10.9, "info", {"poses": "3"})}
@@ -90,7 +90,7 @@ def test_each_channel_and_each_motor_has_a_gauge():
     assert "; shares of the error: left 60 %" in str(health)
 
 
-def test_a_craft_that_is_not_judged_is_described_in_words():
+def test_a_craft_without_a_verdict_is_described_in_words():
     health = Health(False, 0, np.full(3, np.nan), ())
     assert not judged(health)
     assert health_gauges(health) == [(str(health), [])]
@@ -109,7 +109,7 @@ def test_a_set_point_stays_inside_the_rails():
 @pytest.mark.browser
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.parametrize("width", [1400, 390])
-def test_the_live_page_has_no_barrier(chromium, scheme, width):
+def test_the_live_page_has_no_accessibility_barrier(chromium, scheme, width):
     sync_api = pytest.importorskip("playwright.sync_api")
     # Nothing flies here, so a busy machine only makes this test slow.
     arena = Arena(view_hello(airpuck.read_model("paper:M3"), Table()), page=VIEW_PAGE)
@@ -300,7 +300,7 @@ def test_dragging_the_set_point_moves_the_craft(page):
 
 
 @pytest.mark.browser
-def test_dragging_the_knob_turns_the_craft(page):
+def test_dragging_the_handle_turns_the_craft(page):
     place, radius = np.array([0.1, 0.0]), 1.95 * 0.07
     page.enter(*place, 0.0)
     page.drag(np.add(place, (radius, 0.0)), np.add(place, (0.0, 0.25)))
@@ -310,7 +310,7 @@ def test_dragging_the_knob_turns_the_craft(page):
 
 
 @pytest.mark.browser
-def test_a_picture_for_the_documents(page, flight, request):
+def test_a_picture_for_the_documentation_is_taken(page, flight, request):
     """Take a picture in flight, with the set point ahead; store it as ``--screenshot FILE``."""
     view = flight[2]
 

@@ -81,7 +81,7 @@ def recorded(random: np.random.Generator, count: int, side: int) -> tuple:
 
 
 @pytest.mark.parametrize("side", [1, -1])
-def test_what_is_measured_covers_the_truth(side):
+def test_intervals_of_a_measured_hand_cover_the_truth(side):
     random = np.random.default_rng(side + 1)
     recording, _ = recorded(random, 80, side)
     found = measured_hand([recording], default_twin_settings())
@@ -94,7 +94,7 @@ def test_what_is_measured_covers_the_truth(side):
         assert quantile.high - quantile.low < 0.6 * value, name
 
 
-def test_intervals_cover_the_truth_as_often_as_they_say():
+def test_intervals_have_their_stated_coverage():
     random, covered = np.random.default_rng(0), 0
     for _ in range(100):
         found = Measure.of(random.exponential(1.0, 25), 0.5)
@@ -102,14 +102,14 @@ def test_intervals_cover_the_truth_as_often_as_they_say():
     assert covered >= 0.95 * 100 - 3 * math.sqrt(100 * 0.05 * 0.95)
 
 
-def test_nothing_is_claimed_from_a_few_hits():
+def test_a_few_hits_determine_nothing():
     recording, _ = recorded(np.random.default_rng(0), 3, 1)
     found = measured_hand([recording], default_twin_settings())
     assert found.to_json()["reaction_s"] == {"value": None, "low": None, "high": None, "count": 3}
 
 
 @pytest.mark.slow
-def test_a_scripted_hand_shows_its_limits():
+def test_a_scripted_hand_reveals_its_limits():
     hand, rules = contestant("human:medium"), Rules(goals=None, limit_s=60.0)
     hard, kind = KEEPERS["hard"], study("opponents").Wild
     wild = Contestant("wild", hand=lambda equipment, seed: kind(equipment, hard, seed))

@@ -59,5 +59,5 @@ def test_impossible_values_are_named(field, made):
         made()
 
 
-def test_values_that_callers_use_are_still_accepted():
+def test_lists_and_arrays_remain_accepted():
     assert intention(meet=np.zeros(3), avoid=[0, 0, 1], path=[[0.0, 0.0]]).kind == "defend"

@@ -49,7 +49,7 @@ def anna(tmp_path):
     return tmp_path / "anna"
 
 
-def test_a_person_is_rated_by_goals_against_the_level_that_played(anna, tmp_path):
+def test_a_person_is_rated_against_the_levels_played(anna, tmp_path):
     write_bag(game(9, 2), tmp_path / "ben" / "game-1")
     league = with_people({"players": [], "matrix": []}, [anna, tmp_path / "ben"])
     assert sorted(league["players"]) == ["airpuck:medium", "anna", "ben"]
@@ -76,7 +76,7 @@ def test_people_join_the_players_of_a_league(tmp_path):
     assert league["matrix"][1][2]["goals_for"] == 3
 
 
-def test_a_game_that_was_left_at_once_is_a_draw(tmp_path):
+def test_a_game_left_immediately_is_a_draw(tmp_path):
     begun = Game(contestant("keeper"), contestant("human"))
     begun.step()
     write_bag(begun.recording(), tmp_path / "anna" / "game-1")
@@ -142,12 +142,12 @@ def test_foreign_and_damaged_bags_are_rejected(tmp_path, damage, word):
         with_people({"players": [], "matrix": []}, [tmp_path / "anna"])
 
 
-def test_a_folder_that_does_not_exist_is_named(tmp_path):
+def test_a_missing_folder_is_named(tmp_path):
     with pytest.raises(InputError, match="ana: there is no such folder"):
         with_people({"players": [], "matrix": []}, [tmp_path / "ana"])
 
 
-def test_two_people_need_two_names(anna, tmp_path):
+def test_two_people_need_different_names(anna, tmp_path):
     shutil.copytree(anna, tmp_path / "others" / "anna")
     with pytest.raises(InputError, match="rename"):
         with_people({"players": [], "matrix": []}, [anna, tmp_path / "others" / "anna"])

@@ -34,7 +34,7 @@ def bag(tmp_path_factory):
 
 
 @pytest.mark.slow
-def test_a_bag_of_a_puck_becomes_a_table_file(bag, tmp_path):
+def test_a_puck_recording_becomes_a_table_file(bag, tmp_path):
     done = airpuck("identify-puck", bag, "-o", "table.toml", "--json", "figures.json", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     for words in ("drag_1_s", "rail.restitution", "flights", "table.toml"):
@@ -54,7 +54,7 @@ def test_a_bag_of_a_puck_becomes_a_table_file(bag, tmp_path):
 
 
 @pytest.mark.slow
-def test_without_a_name_nothing_is_written(bag, tmp_path):
+def test_without_an_output_option_nothing_is_written(bag, tmp_path):
     done = airpuck("identify-puck", bag, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "add -o table.toml" in done.stdout
@@ -62,7 +62,7 @@ def test_without_a_name_nothing_is_written(bag, tmp_path):
 
 
 @pytest.mark.slow
-def test_sizes_are_those_of_the_table_file(bag, tmp_path):
+def test_sizes_come_from_the_table_file(bag, tmp_path):
     given = AirHockey(puck=Puck(mass_kg=0.02))
     given.save(tmp_path / "given.toml")
     done = airpuck(
@@ -72,7 +72,7 @@ def test_sizes_are_those_of_the_table_file(bag, tmp_path):
     assert read_table(tmp_path / "new.toml").puck.mass_kg == 0.02
 
 
-def test_a_table_that_is_missing_is_refused(bag, tmp_path):
+def test_a_missing_table_is_rejected(bag, tmp_path):
     done = airpuck("identify-puck", bag, "--table", "none.toml", cwd=tmp_path)
     assert refused(done, "none.toml")
     assert not list(tmp_path.iterdir())

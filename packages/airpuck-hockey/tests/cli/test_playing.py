@@ -16,7 +16,7 @@ from airpuck_hockey.game.contestant import PLAYERS
 from tests.apparatus.commands import airpuck, refused
 
 
-def test_skills_on_the_command_line():
+def test_skills_are_measured_on_the_command_line():
     ended = airpuck("skills", "--episodes", "1", "--only", "defend", "--seed", "3", "--json", "-")
     assert ended.returncode == 0, ended.stderr
     figures = json.loads(ended.stdout)
@@ -37,7 +37,7 @@ def test_listing_the_commands_imports_no_heavy_package():
 
 
 @pytest.mark.parametrize("name", ["match", "league"])
-def test_the_help_names_every_player(name):
+def test_the_help_lists_every_player(name):
     shown = " ".join(airpuck(name, "--help", env={**os.environ, "COLUMNS": "1000"}).stdout.split())
     assert f"{', '.join(PLAYERS)}, each with :LEVEL" in shown
 
@@ -57,14 +57,14 @@ def test_the_help_names_every_player(name):
         (("play-live", "--domain", "233"), "--domain: must be from 0 to 232"),
     ],
 )
-def test_play_refuses_in_one_line(arguments, problem):
+def test_wrong_usage_of_play_ends_in_one_line(arguments, problem):
     with pytest.raises(InputError, match=problem):
         commands()([*arguments], standalone_mode=False)
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="finds the server in /proc")
-def test_a_page_server_that_is_killed_costs_neither_the_figures_nor_a_traceback(tmp_path):
+def test_a_killed_page_server_costs_neither_figures_nor_a_traceback(tmp_path):
     pytest.importorskip("websockets")
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]

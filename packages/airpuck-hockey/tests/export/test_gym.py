@@ -24,7 +24,7 @@ from tests.apparatus.environments import MODEL, NOISELESS, PERIOD, SETTINGS, act
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")
 
 
-def test_the_game_has_pictures_and_modes_are_checked():
+def test_games_are_rendered_and_render_modes_are_checked():
     game = GameEnv(render_mode="rgb_array")
     game.reset(seed=0)
     picture = game.render()
@@ -52,7 +52,7 @@ class Shaky(Pilot):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SKILLS)
-def test_skills_succeed_as_those_of_the_package(name, monkeypatch):
+def test_skills_succeed_as_in_the_package(name, monkeypatch):
     monkeypatch.setattr("airpuck_hockey.game.skills.Player", Shaky)
     for module in ("airpuck_hockey.game.skills", "airpuck_hockey.export.gym"):
         monkeypatch.setattr(f"{module}.LONGEST", 1.0)
@@ -80,7 +80,7 @@ def test_skills_succeed_as_those_of_the_package(name, monkeypatch):
         assert round(observation["time"][0] / PERIOD) == (count if late else count - 1)
 
 
-def test_the_first_observation_of_the_puck_has_its_motion():
+def test_the_first_observation_includes_the_motion_of_the_puck():
     observation, _ = PuckEnv("defend").reset(seed=3)
     assert 1.0 <= np.hypot(*observation["puck_rate"][:2]) <= 3.0
 
@@ -101,7 +101,7 @@ def test_a_seed_determines_the_game():
     assert data_equivalence(found[0], found[2], exact=True)
 
 
-def test_both_sides_see_the_same_game():
+def test_both_sides_observe_the_same_game():
     radio = NOISELESS.radio.model_copy(update={"jitter_s": 0.0})
     # With its centre of mass in the body's frame, a craft flies the same in every direction.
     craft = replace(MODEL, frame="body")
@@ -141,7 +141,7 @@ def test_a_goal_is_rewarded(towards, winner):
     assert infos[loser] == {"score": (0, 1)}
 
 
-def test_a_game_needs_both_actions():
+def test_a_game_needs_two_actions():
     env = GameEnv()
     env.reset(seed=0)
     with pytest.raises(InputError, match="right: has no action"):
@@ -151,7 +151,7 @@ def test_a_game_needs_both_actions():
     assert observations["left"]["time"] == PERIOD
 
 
-def test_pictures_show_the_craft_where_it_is():
+def test_pictures_show_the_craft_in_place():
     env: Any = gymnasium.make("airpuck/Defend-v0", render_mode="rgb_array").unwrapped
     env.reset(seed=1)
     before = env.render()
@@ -181,7 +181,7 @@ def test_an_unknown_skill_is_named():
         PuckEnv("juggle")
 
 
-def test_an_export_registers_environments_of_its_craft(tmp_path, monkeypatch):
+def test_an_export_registers_environments_for_its_craft(tmp_path, monkeypatch):
     table = Table(length_m=3.0, width_m=1.5)
     settings = SETTINGS.model_copy(update={"table": table})
     craft = published_model("M2")

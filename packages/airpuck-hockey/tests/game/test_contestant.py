@@ -86,7 +86,7 @@ def tactics(tmp_path):
         ("DecidesNothing", r"lacks decide"),
     ],
 )
-def test_a_tactic_that_fails_is_named_in_one_line(tactics, name, words):
+def test_a_failing_tactic_is_named_in_one_line(tactics, name, words):
     with rejected(f"mine.py:{name}", match=words):
         game = Game(contestant(f"{tactics}:{name}"), contestant("human"))
         for _ in range(5):
@@ -94,7 +94,7 @@ def test_a_tactic_that_fails_is_named_in_one_line(tactics, name, words):
 
 
 @pytest.mark.slow
-def test_a_tactic_of_ones_own_plays_on_either_side(tactics):
+def test_a_user_tactic_plays_on_either_side(tactics):
     mine = contestant(f"{tactics}:Stays")
     game = Game(mine, mine, seed=1)
     for _ in range(150):
@@ -122,7 +122,7 @@ def test_unknown_players_and_levels_are_named(name, words):
 
 
 @pytest.mark.parametrize("level", ["easy", "medium", "hard"])
-def test_every_player_has_the_three_levels(level):
+def test_every_player_has_three_levels(level):
     found = {name: contestant(f"{name}:{level}") for name in PLAYERS}
     assert {name for name, one in found.items() if one.player is not None} == {
         "airpuck",
@@ -143,6 +143,6 @@ def test_a_tactic_defends_its_goal():
 
 
 @pytest.mark.parametrize(("given", "near"), [("keper", "keeper"), ("keeper:hrd", "hard")])
-def test_an_unknown_name_suggests_the_nearest(given, near):
+def test_an_unknown_name_suggests_the_closest_one(given, near):
     with pytest.raises(InputError, match=f"did you mean '{near}'\\?$"):
         airpuck_hockey.contestant(given)

@@ -27,7 +27,7 @@ def played(seed: int, left=HARD, right=EASY, rules=None) -> Game:
 
 
 @pytest.mark.slow
-def test_the_events_of_a_game_make_its_score_and_the_better_hand_wins():
+def test_events_add_up_to_the_score_and_the_better_hand_wins():
     games = [played(seed, rules=Rules(goals=3)) for seed in range(3)]
     for game in games:
         scored = Counter(event.side for event in game.events if event.kind == "goal")
@@ -38,7 +38,7 @@ def test_the_events_of_a_game_make_its_score_and_the_better_hand_wins():
 
 
 @pytest.mark.slow
-def test_the_same_seed_gives_the_same_game():
+def test_a_seed_determines_the_game():
     first, second = (played(5, rules=Rules(limit_s=10.0)) for _ in range(2))
     assert first.events == second.events
     assert first.recording()["puck"] == second.recording()["puck"]
@@ -55,7 +55,7 @@ class Script:
         return self._target(time)
 
 
-def test_a_hand_that_points_nowhere_is_named():
+def test_a_non_finite_target_of_a_hand_is_named():
     nobody = Contestant("lost", hand=lambda play, seed: Script(lambda time: (math.nan, 0.0)))
     with pytest.raises(InputError, match="hand lost: target"):
         Game(nobody, HARD).step()
@@ -91,7 +91,7 @@ def exact():
     return changed(default_twin_settings(), motion_capture=nothing, radio=radio)
 
 
-def test_a_game_turned_by_half_a_turn_is_the_turned_game():
+def test_a_game_rotated_by_half_a_turn_is_the_same_game():
     # The paper's offset of the centre of mass stays in the world's frame, whatever the yaw.
     model = replace(read_model("paper:M3"), frame="body")
     tracks = []
@@ -113,7 +113,7 @@ def test_a_game_turned_by_half_a_turn_is_the_turned_game():
     assert np.ptp(tracks[0], axis=0)[[0, 1, 3, 4, 5]].min() > 0.02
 
 
-def test_a_game_of_two_crafts_is_a_bag(tmp_path):
+def test_a_game_of_two_craft_is_recorded_as_a_bag(tmp_path):
     seen = []
     game = Game(pusher(seen), pusher(), seed=2, rules=Rules(limit_s=2.0))
     game.world.puck.place(PuckState(0.6, 0.12, 0.0, 4.0, 0.0))
@@ -155,7 +155,7 @@ def served_puck(y: float, vx: float, vy: float = 0.0) -> Game:
     return game
 
 
-def test_a_goal_that_the_mallet_had_no_part_in_is_no_own_goal():
+def test_a_goal_without_help_of_the_mallet_is_not_an_own_goal():
     game = served_puck(0.0, -3.0)
     while game.phase == "play":
         game.step()
@@ -163,7 +163,7 @@ def test_a_goal_that_the_mallet_had_no_part_in_is_no_own_goal():
     assert game.score == (0, 1)
 
 
-def test_who_turns_a_puck_into_the_own_goal_is_told():
+def test_pushing_the_puck_into_ones_own_goal_is_an_own_goal():
     game = served_puck(0.30, 0.0)
 
     def backwards(time):
@@ -181,7 +181,7 @@ def test_who_turns_a_puck_into_the_own_goal_is_told():
     assert causes == [0, 1, 0]
 
 
-def test_who_stops_a_shot_and_then_pushes_it_in_is_told():
+def test_stopping_a_shot_and_then_pushing_it_in_is_an_own_goal():
     game = served_puck(0.0, -2.0)
 
     def keeper(time):
@@ -207,7 +207,7 @@ def test_who_stops_a_shot_and_then_pushes_it_in_is_told():
     assert [(e.kind, e.side) for e in game.events if "goal" in e.kind][1:] == [("own_goal", -1)]
 
 
-def test_who_only_stops_a_shot_that_goes_in_anyway_made_no_own_goal():
+def test_failing_to_stop_a_shot_is_not_an_own_goal():
     game = served_puck(0.0, -6.0)
     game.sides[0].hand = Script(lambda time: (-0.95, 0.12))
     while game.phase == "play" and game.time < 3.0:
@@ -216,14 +216,14 @@ def test_who_only_stops_a_shot_that_goes_in_anyway_made_no_own_goal():
     assert goals in ([], [("goal", 1)])
 
 
-def test_a_seed_too_large_for_two_sides_is_told():
+def test_a_seed_too_large_for_two_sides_is_rejected():
     with pytest.raises(InputError, match=r"seed.*4\.61e18: each side has its own 64-bit seed"):
         Game(HARD, EASY, seed=2**62)
     assert Game(HARD, EASY, seed=2**62 - 1).step() is not None
 
 
 @pytest.mark.slow
-def test_figures_sum_up_the_events():
+def test_figures_summarise_the_events():
     game = played(8, rules=Rules(goals=2))
     figures = game.figures()
     assert (figures["left_goals"], figures["right_goals"]) == game.score
@@ -234,7 +234,7 @@ def test_figures_sum_up_the_events():
     assert figures["left_rail_contacts"] == 0
 
 
-def test_a_game_begins_with_discs_before_their_goals_and_a_puck_in_a_half():
+def test_a_game_starts_with_discs_before_their_goals_and_a_puck_in_one_half():
     for seed in range(4):
         game = Game(HARD, pusher(), seed=seed)
         line = game.settings.table.length_m / 2
@@ -246,7 +246,7 @@ def test_a_game_begins_with_discs_before_their_goals_and_a_puck_in_a_half():
     assert Game(HARD, HARD).seed == 0
 
 
-def test_a_craft_that_leaves_its_half_is_noted_once_on_each_way():
+def test_a_craft_that_leaves_its_half_is_recorded_once_per_crossing():
     game = Game(pusher(), HARD, seed=1)
     craft = game.sides[0].body
     found = []
@@ -258,7 +258,7 @@ def test_a_craft_that_leaves_its_half_is_noted_once_on_each_way():
     assert found == [[], [], [("crossed", -1)], [], [], [], [("crossed", -1)]]
 
 
-def test_a_served_puck_lies_free_of_all_discs():
+def test_a_served_puck_is_clear_of_all_discs():
     game = Game(HARD, HARD, seed=3)
     for side in (-1, 1):
         mallet = game.sides[side > 0].body
@@ -273,7 +273,7 @@ def test_a_served_puck_lies_free_of_all_discs():
                 assert abs(place[1]) < game.settings.table.width_m / 2
 
 
-def test_both_sides_of_a_game_have_seeds_of_their_own():
+def test_each_side_of_a_game_has_its_own_seed():
     def seeded(play, seed):
         seeds.append(seed)
         return HARD.hand(play, seed)

@@ -25,7 +25,7 @@ def episode(
     return played_alone(hand(PLAY, skill, seed), puck, duration, start, lambda time: opponent)
 
 
-def test_it_does_not_move_before_it_can_have_seen():
+def test_it_does_not_move_before_its_reaction_time():
     # The puck first rests on one side, and is then shot at the goal.
     hand = ScriptedHand(PLAY, EXACT)
     rests = PuckState(0.5, 0.4)
@@ -41,7 +41,7 @@ def test_it_does_not_move_before_it_can_have_seen():
 
 
 @pytest.mark.parametrize("level", HUMANS)
-def test_its_mallet_keeps_to_its_speed_and_acceleration(level):
+def test_its_mallet_respects_speed_and_acceleration_limits(level):
     # With seed 3 the puck is wedged at a rail, and holds the mallet.
     ways, _ = episode(HUMANS[level], PuckState(-0.3, 0.3, 0, -0.5, 0.4), 2.0, seed=4)
     speed = np.hypot(ways[:, 2], ways[:, 3])
@@ -53,7 +53,7 @@ def test_its_mallet_keeps_to_its_speed_and_acceleration(level):
     assert change[inside].max() <= PLAY.mallet.acceleration_m_s2 * 1.01
 
 
-def test_it_strikes_a_resting_puck_at_the_goal():
+def test_it_shoots_a_resting_puck_at_the_goal():
     scored = 0
     for y in (-0.3, -0.1, 0.0, 0.15, 0.3):
         _, world = episode(EXACT, PuckState(-0.45, y), 3.0)
@@ -62,7 +62,7 @@ def test_it_strikes_a_resting_puck_at_the_goal():
     assert scored >= 4
 
 
-def test_it_saves_most_shots_that_nobody_could_call_hard():
+def test_it_saves_most_easy_shots():
     saved = dict.fromkeys(HUMANS, 0)
     for level, skill in HUMANS.items():
         for k, y in enumerate(np.linspace(-0.15, 0.15, 10)):
@@ -74,7 +74,7 @@ def test_it_saves_most_shots_that_nobody_could_call_hard():
     assert saved["easy"] <= saved["hard"]
 
 
-def test_its_first_stroke_has_an_error_of_aim_too():
+def test_its_first_stroke_has_an_aiming_error_too():
     skill, rests = Dexterity(0.2, 0.0, 0.3, 4.0), PuckState(-0.45, 0.0)
     starts = set()
     for seed in range(5):
@@ -83,7 +83,7 @@ def test_its_first_stroke_has_an_error_of_aim_too():
     assert len(starts) == 5
 
 
-def test_a_guided_hand_waits_where_it_is_until_it_is_moved():
+def test_a_guided_hand_stays_where_it_is_until_it_is_moved():
     hand = GuidedHand()
     assert hand.target(0.0, (0.1, 0.2), None, (0.0, 0.0)) == (0.1, 0.2)
     hand.wanted = (0.5, -0.25)
@@ -126,7 +126,7 @@ def test_a_mirrored_hand_goes_to_the_mirrored_place(puck):
     np.testing.assert_allclose(wanted(puck, (-0.8, 0.1)) * [1, -1], wanted(other, (-0.8, -0.1)))
 
 
-def test_it_covers_the_place_where_a_fast_puck_will_pass():
+def test_it_covers_the_point_where_a_fast_puck_will_pass():
     for y, vy in ((0.1, 0.0), (0.0, 0.2), (0.3, -0.7)):
         puck = PuckState(0.3, y, 0.0, -3.0, vy)
         found = wanted(puck)
@@ -136,7 +136,7 @@ def test_it_covers_the_place_where_a_fast_puck_will_pass():
         assert -PLAY.table.length_m / 2 < found[0] <= -PLAY.table.length_m / 2 + 0.25
 
 
-def test_it_goes_round_a_puck_that_lies_behind_it():
+def test_it_goes_round_a_puck_behind_it():
     # Between the hand and its goal: sideways first, and back.
     for y in (0.02, -0.02):
         found = wanted(PuckState(-0.8, 0.0), own=(-0.6, y))
@@ -146,7 +146,7 @@ def test_it_goes_round_a_puck_that_lies_behind_it():
 
 
 @pytest.mark.parametrize("y", [0.3, -0.2])
-def test_a_stroke_goes_through_the_puck_at_the_goal(y):
+def test_a_stroke_goes_through_the_puck_towards_the_goal(y):
     puck = PuckState(-0.45, y)
     angle = math.atan2(-y, PLAY.table.length_m / 2 - puck.x)
     way = np.array([math.cos(angle), math.sin(angle)])
@@ -173,7 +173,7 @@ def test_a_keeper_stands_in_its_goal_where_a_puck_will_pass(hand):
 
 
 @pytest.mark.parametrize("side", [-1, 1])
-def test_a_striker_aims_at_the_open_corner_and_a_keeper_does_not_strike(side):
+def test_a_striker_aims_at_the_open_corner_and_a_keeper_does_not_shoot(side):
     rests, opponent = PuckState(-0.5, 0.0), (0.9, 0.1 * side)
     ends = [
         episode(EXACT, rests, 3.0, (-0.9, 0.0), hand=hand, opponent=opponent)[1].puck
@@ -191,7 +191,7 @@ def test_a_hand_without_delay_acts_on_the_newest_frame():
         assert hand.target(time, (-1.0, 0.0), PuckState(0.5, y), (0.9, 0.0))[1] == y / 2
 
 
-def test_a_hand_that_has_seen_one_frame_acts_on_that():
+def test_a_hand_that_has_seen_only_one_frame_acts_on_it():
     hand = Keeper(PLAY, EXACT)
     assert hand.target(0.0, (-1.0, 0.0), PuckState(0.5, 0.1), (0.9, 0.0))[1] == 0.05
     # The second frame counts when the reaction time has passed.
@@ -200,7 +200,7 @@ def test_a_hand_that_has_seen_one_frame_acts_on_that():
 
 
 @pytest.mark.parametrize("side", [-1, 1])
-def test_a_stroke_begins_at_the_border_of_the_hand_s_half_where_there_is_no_room_behind(side):
+def test_a_stroke_without_room_behind_starts_at_the_border_of_the_half(side):
     reach_x, reach_y = PLAY.table.reach(PLAY.mallet.radius_m)
     # Behind a puck near the own line, the start is moved onto the line, on the same side.
     line = wanted(PuckState(-0.93, side * 0.1), own=(-1.04, side * 0.25))
@@ -214,7 +214,7 @@ def test_a_stroke_begins_at_the_border_of_the_hand_s_half_where_there_is_no_room
 
 
 @pytest.mark.parametrize("side", [-1, 1])
-def test_a_hand_before_a_puck_at_a_rail_goes_round_it_on_the_inner_side(side):
+def test_a_hand_passes_a_puck_at_a_rail_on_the_inner_side(side):
     # On the outer side there is no room between the puck and the rail.
     puck, own = PuckState(-0.6, side * 0.47), (-0.5, side * 0.5)
     found = wanted(puck, own)

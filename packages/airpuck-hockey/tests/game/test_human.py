@@ -61,7 +61,7 @@ def table(process) -> Table:
     return Table(process, PuckState(-0.7, 0.0, vx=-3.0))
 
 
-def test_who_concedes_serves_a_second_later(table):
+def test_the_conceding_side_serves_a_second_later(table):
     table.run(0.2)
     assert table.puck.goal == -1
     table.run(1.0)
@@ -72,7 +72,7 @@ def test_who_concedes_serves_a_second_later(table):
     assert abs(table.puck.state.y) <= 0.16
 
 
-def test_a_puck_that_the_craft_leaves_alone_is_the_humans_after_fifteen_seconds(table):
+def test_a_puck_that_the_craft_ignores_is_the_humans_after_fifteen_seconds(table):
     begin = table.twin.now
     table.run(begin + 14.9)
     assert table.puck.state.x < 0
@@ -122,7 +122,7 @@ def guided(domain):
         guide.graph.close()
 
 
-def test_the_mallet_goes_where_the_graph_wants_it_and_no_faster_than_a_hand(guided):
+def test_the_mallet_follows_its_target_no_faster_than_a_hand(guided):
     table, guide = guided
     guide.wait(0.1)
     assert table.mallet == (BEGINS, 0.0)
@@ -139,7 +139,7 @@ def test_the_mallet_goes_where_the_graph_wants_it_and_no_faster_than_a_hand(guid
     assert 0.0 < max(speeds) <= 4.0 + 1e-6
 
 
-def test_it_stays_when_nobody_says_where_it_is_wanted(guided):
+def test_without_a_target_the_mallet_stays(guided):
     table, guide = guided
     guide.lead(0.8, 0.0, 0.0, seconds=0.8)
     guide.lead(0.2, 0.4, 0.0, seconds=0.05)
@@ -153,7 +153,7 @@ def test_it_stays_when_nobody_says_where_it_is_wanted(guided):
     ("place", "age"),
     [((math.nan, 0.1, 0.0), 0), ((0.3, math.inf, 0.0), 0), ((1e5, 0, 0), 0), ((0.3, 0.3, 0), 0.3)],
 )
-def test_places_that_are_not_finite_far_away_or_old_are_refused(guided, place, age):
+def test_non_finite_distant_and_outdated_targets_are_rejected(guided, place, age):
     table, guide = guided
     guide.lead(0.8, 0.0, 0.0, seconds=0.8)
     guide.lead(*place, age=age, seconds=0.4)

@@ -51,7 +51,7 @@ def test_a_hand_from_a_file_plays_and_its_errors_name_the_file(tmp_path):
         lost.target(0.0, (-0.9, 0.0), PuckState(-0.4, 0.1), (0.9, 0.0))
 
 
-def test_a_counter_attacker_strikes_back_what_a_striker_only_stops():
+def test_a_counter_attacker_returns_what_a_striker_only_stops():
     returned = {}
     for hand in (Striker, Counter):
         puck = episode(hand, PuckState(0.8, 0.05, 0.0, -2.0, 0.0), 1.0)
@@ -80,7 +80,7 @@ def test_a_wrong_footer_aims_at_the_corner_that_the_opponent_leaves(side):
     assert puck.touches[1].before.y * side > 0.1
 
 
-def test_a_wild_hitter_strikes_a_puck_that_a_striker_lets_pass():
+def test_a_wild_hitter_hits_a_puck_that_a_striker_lets_pass():
     # Fast, and from side to side of its half.
     shot = PuckState(-0.7, 0.4, 0.0, 0.1, 1.5)
     assert [t.met for t in episode(Wild, shot, 1.5).touches].count("mallet") > 0
@@ -97,7 +97,7 @@ def spread(skill, puck):
     return float(np.std(found))
 
 
-def test_the_error_of_prediction_grows_with_distance():
+def test_the_prediction_error_grows_with_distance():
     skill = replace(EXACT, heading_rad=0.02)
     line = -PLAY.table.length_m / 2 + 0.1
     for x in (-0.4, 0.2):
@@ -106,7 +106,7 @@ def test_the_error_of_prediction_grows_with_distance():
         assert spread(skill, PuckState(x, 0.0, 0.0, -3.0, 0.0)) == pytest.approx(expected, rel=0.2)
 
 
-def test_the_error_of_prediction_grows_with_every_bounce():
+def test_the_prediction_error_grows_with_every_bounce():
     skill = replace(EXACT, bounce_rad=0.03)
     straight = PuckState(0.0, 0.0, 0.0, -3.0, 0.0)
     assert spread(skill, straight) == 0.0
@@ -119,7 +119,7 @@ def test_the_error_of_prediction_grows_with_every_bounce():
     assert spread(skill, shot) > 0.01
 
 
-def test_everybody_but_the_wall_misjudges_motion_and_bounces():
+def test_every_opponent_except_the_wall_misjudges_motion_and_bounces():
     for name, (_, levels) in HANDS.items():
         for skill in levels.values():
             errors = (skill.velocity_error, skill.heading_rad, skill.bounce_rad)

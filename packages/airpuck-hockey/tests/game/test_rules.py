@@ -11,7 +11,7 @@ def referee(first=-1, **rules) -> Referee:
     return Referee(Rules(**rules), AirHockey(), first)
 
 
-def test_a_goal_counts_for_the_other_side_who_conceded_serves_after_a_pause():
+def test_the_other_side_scores_and_the_conceding_side_serves_after_a_pause():
     judge = referee(pause_s=1.0)
     assert judge.judge(0.01, -0.3, 0.0, 0) == []
     assert judge.judge(2.0, 1.13, 3.0, 1) == [("goal", -1)]
@@ -24,7 +24,7 @@ def test_a_goal_counts_for_the_other_side_who_conceded_serves_after_a_pause():
     assert judge.score == (1, 1)
 
 
-def test_first_to_seven_wins_and_nothing_counts_afterwards():
+def test_the_first_to_seven_goals_wins_and_the_game_is_over():
     judge, time = referee(), 0.0
     for goals in range(1, 8):
         found = judge.judge(time := time + 1.0, 1.13, 3.0, 1)
@@ -38,7 +38,7 @@ def test_first_to_seven_wins_and_nothing_counts_afterwards():
 
 
 @pytest.mark.parametrize(("goal", "winner"), [(None, 0), (1, -1), (-1, 1)])
-def test_at_the_time_limit_who_leads_has_won(goal, winner):
+def test_the_leader_wins_at_the_time_limit(goal, winner):
     judge = referee(limit_s=10.0)
     if goal:
         judge.judge(1.0, goal * 1.13, 3.0, goal)
@@ -72,14 +72,14 @@ def test_fifteen_seconds_on_one_side_give_the_puck_to_the_other(first, seen):
         assert judge.judge(time, x, 1.0, 0) == said
 
 
-def test_who_put_the_puck_into_play_has_fifteen_seconds():
+def test_the_side_that_serves_has_fifteen_seconds():
     judge = referee(first=-1)
     judge.serve(10.0, 1)
     assert judge.judge(24.9, 0.5, 1.0, 0) == []
     assert judge.judge(25.0, 0.5, 1.0, 0) == OTHER
 
 
-def test_a_puck_that_rests_on_the_line_is_served_anew_by_turns():
+def test_a_puck_resting_on_the_centre_line_is_served_to_alternating_sides():
     judge = referee(first=-1)
     steps = [round(1.0 + 0.1 * k, 3) for k in range(31)]
     assert [judge.judge(t, 0.01, 0.0, 0) for t in steps[:-1]] == [[]] * 30
@@ -89,7 +89,7 @@ def test_a_puck_that_rests_on_the_line_is_served_anew_by_turns():
     assert found == [("stuck", 0), ("serve", -1)]
 
 
-def test_a_puck_that_is_moved_is_not_stuck():
+def test_a_moving_puck_is_not_stuck():
     judge = referee()
     for k in range(100):
         # Touched once in two seconds.
@@ -97,12 +97,12 @@ def test_a_puck_that_is_moved_is_not_stuck():
 
 
 @pytest.mark.parametrize("goals", [0, -1, 1001])
-def test_somebody_can_win(goals):
+def test_invalid_numbers_of_goals_are_rejected(goals):
     with pytest.raises(InputError, match="goals"):
         Rules(goals=goals)
 
 
-def test_a_puck_as_far_from_the_line_as_its_radius_can_be_stuck_and_no_farther():
+def test_a_puck_is_stuck_within_its_radius_of_the_centre_line():
     radius = AirHockey().puck.radius_m
     for x, speed, stuck in ((0.99, 0.04, True), (1.01, 0.04, False), (0.5, 0.06, False)):
         judge = referee(first=1)
@@ -110,7 +110,7 @@ def test_a_puck_as_far_from_the_line_as_its_radius_can_be_stuck_and_no_farther()
         assert bool(judge.judge(4.01, x * radius, speed, 0)) == stuck
 
 
-def test_a_game_lasts_five_minutes_and_goals_are_followed_by_a_pause_of_a_second():
+def test_a_game_lasts_five_minutes_with_a_second_of_pause_after_goals():
     judge = referee()
     assert judge.judge(1.0, 1.13, 3.0, 1) == [("goal", -1)]
     assert judge.judge(1.99, 1.13, 3.0, 1) == []

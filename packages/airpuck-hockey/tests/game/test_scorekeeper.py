@@ -71,7 +71,7 @@ class Cameras:
 
 @pytest.mark.parametrize("speed", [0.3, 1.0, 5.0, 12.0])
 @pytest.mark.parametrize("goal", [-1, 1])
-def test_a_puck_that_crosses_the_line_inside_the_goal_and_vanishes(goal, speed):
+def test_a_puck_that_crosses_the_goal_line_and_vanishes_is_a_goal(goal, speed):
     cameras = Cameras()
     puck = cameras.shoot(0.9 * goal, 0.1, speed * goal, -0.05 * speed, seconds=0.25 / speed + 0.3)
     assert puck.goal == goal
@@ -82,14 +82,14 @@ def test_a_puck_that_crosses_the_line_inside_the_goal_and_vanishes(goal, speed):
 
 
 @pytest.mark.parametrize(("speed", "seen"), [(3.0, 1.09), (4.0, 1.06)])
-def test_cameras_that_do_not_see_as_far_as_the_line(speed, seen):
+def test_a_goal_counts_if_cameras_do_not_see_the_line(speed, seen):
     cameras = Cameras()
     cameras.shoot(0.5, 0.0, speed, 0.0, seconds=1.0, visible=lambda x: x < seen)
     assert cameras.said == [("goal", -1)]
 
 
 @pytest.mark.parametrize("after", [1, 3, 30])
-def test_a_puck_that_is_put_back_at_once(after):
+def test_a_puck_put_back_immediately_still_counts_as_a_goal(after):
     cameras = Cameras()
     cameras.shoot(-0.9, 0.0, -3.0, 0.0, seconds=0.0775)
     cameras.see(puck=False, frames=after)
@@ -112,7 +112,7 @@ def test_a_puck_that_rattles_in_the_goal_counts_once():
     assert cameras.said == [("goal", -1)]
 
 
-def test_a_shot_that_is_saved_unseen():
+def test_a_shot_saved_out_of_sight_is_not_a_goal():
     """A hand covers the puck in front of the line for a while; then the puck reappears."""
     for hidden in (0.1, 0.3, 2.0):
         cameras = Cameras()
@@ -123,7 +123,7 @@ def test_a_shot_that_is_saved_unseen():
 
 
 @pytest.mark.parametrize("x", np.arange(-1.05, 1.06, 0.15))
-def test_a_puck_that_vanishes_on_its_way(x):
+def test_a_puck_that_vanishes_on_its_way_is_not_a_goal(x):
     cameras = Cameras()
     cameras.shoot(x, 0.0, math.copysign(0.5, x), 0.0, seconds=0.02)
     cameras.nothing(3.0)
@@ -131,7 +131,7 @@ def test_a_puck_that_vanishes_on_its_way(x):
     assert cameras.said == []
 
 
-def test_a_puck_that_meets_the_rail_or_a_post_beside_the_goal():
+def test_a_puck_that_hits_the_rail_or_a_post_is_not_a_goal():
     for y in (0.25, 0.2, 0.19):
         cameras = Cameras()
         puck = cameras.shoot(0.7, y, 4.0, 0.0, seconds=0.5)
@@ -139,7 +139,7 @@ def test_a_puck_that_meets_the_rail_or_a_post_beside_the_goal():
         assert cameras.said == []
 
 
-def test_poses_that_freeze():
+def test_frozen_poses_are_not_a_goal():
     """The last pose is repeated, anywhere in front of the goal."""
     for seconds in (0.02, 0.06, 0.1):
         cameras = Cameras()
@@ -150,7 +150,7 @@ def test_poses_that_freeze():
         assert cameras.said == []
 
 
-def test_poses_that_freeze_while_the_puck_is_slow():
+def test_frozen_poses_of_a_slow_puck_are_neither_goal_nor_foul():
     """Repeated poses are not a resting puck: neither for a goal nor for a foul."""
     for x, said in ((1.05, [("goal", -1)]), (0.5, [])):
         cameras = Cameras(Rules(foul_s=2.0))
@@ -161,7 +161,7 @@ def test_poses_that_freeze_while_the_puck_is_slow():
 
 @pytest.mark.parametrize("place", [(1.1, 0.0), (1.12, 0.1), (1.3, 0.0), (-1.11, 0.0), (5.0, 5.0)])
 @pytest.mark.parametrize("frames", [1, 2, 3, 50])
-def test_poses_that_jump_into_a_goal(place, frames):
+def test_poses_that_jump_into_a_goal_do_not_count(place, frames):
     cameras = Cameras()
     cameras.rest(0.2, 0.1)
     for _ in range(5):
@@ -173,7 +173,7 @@ def test_poses_that_jump_into_a_goal(place, frames):
 
 
 @pytest.mark.slow
-def test_poses_that_are_anywhere_and_nothing():
+def test_random_and_missing_poses_are_not_goals():
     cameras = Cameras()
     for k in range(2000):
         x, y = cameras.random.uniform((-1.2, -0.6), (1.2, 0.6))
@@ -188,7 +188,7 @@ def test_poses_that_are_anywhere_and_nothing():
 
 
 @pytest.mark.parametrize("gap", [0.25, 2.0])
-def test_cameras_that_are_blind_when_the_puck_is_about_to_be_in(gap):
+def test_a_puck_lost_just_before_the_line_is_not_a_goal(gap):
     cameras = Cameras()
     cameras.shoot(0.9, 0.0, 3.0, 0.0, seconds=0.0775)
     cameras.time += gap
@@ -199,7 +199,7 @@ def test_cameras_that_are_blind_when_the_puck_is_about_to_be_in(gap):
 
 
 @pytest.mark.slow
-def test_fouls_and_a_puck_that_is_stuck():
+def test_fouls_and_stuck_pucks_are_called():
     cameras = Cameras()
     cameras.rest(-0.5, 0.0, frames=round(15.2 / FRAME))
     assert cameras.said == [("foul", -1)]
@@ -215,7 +215,7 @@ def test_fouls_and_a_puck_that_is_stuck():
     assert cameras.said == []
 
 
-def test_after_the_end_the_next_puck_begins_another_game():
+def test_after_the_end_the_next_puck_starts_another_game():
     cameras = Cameras(Rules(goals=2))
     for _ in range(3):
         cameras.shoot(0.9, 0.0, 3.0, 0.0, seconds=0.5)
@@ -226,7 +226,7 @@ def test_after_the_end_the_next_puck_begins_another_game():
 
 
 @pytest.mark.slow
-def test_it_agrees_with_the_referee_of_a_game():
+def test_the_scorekeeper_agrees_with_the_referee_of_a_game():
     """Two scripted humans play; the cameras lose frames and have noise."""
     rules = Rules(goals=100, limit_s=50.0)
     settings = changed(default_twin_settings(), motion_capture={"dropped": 0.05})

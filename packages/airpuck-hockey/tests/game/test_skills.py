@@ -47,7 +47,7 @@ def start_of(stage, name, number):
 
 
 @pytest.mark.parametrize("name", SKILLS)
-def test_starts_are_the_challenges_on_this_table(name):
+def test_starts_are_the_challenges_scaled_to_this_table(name):
     stage = Starts(MODEL, SETTINGS, PLANT, pitch_of(MODEL, PLAY))
     starts = np.array([start_of(stage, name, number) for number in range(40)])
     x, y, _, vx, vy, spin = starts.T
@@ -112,7 +112,7 @@ def test_an_episode_ends_when_its_outcome_is_certain(name, start, result):
 
 
 @pytest.mark.slow
-def test_a_few_episodes_of_each():
+def test_a_few_episodes_of_each_skill_succeed():
     found = skills(MODEL, episodes=3, seed=5)
     assert found["defend"].successes == 3
     assert found["hit"].successes >= 2
@@ -126,7 +126,7 @@ def test_a_few_episodes_of_each():
         (Table(length_m=0.3, width_m=0.6, goal_width_m=0.1), ("hit",)),  # it fills its half
     ],
 )
-def test_a_table_without_room_is_refused(table, names):
+def test_a_table_without_room_is_rejected(table, names):
     with pytest.raises(InputError) as error:
         skills(
             MODEL, settings=SETTINGS.model_copy(update={"table": table}), episodes=1, names=names
@@ -134,7 +134,7 @@ def test_a_table_without_room_is_refused(table, names):
     assert error.value.field == "table"
 
 
-def test_skills_measure_a_tactic_of_the_users(tmp_path):
+def test_skills_are_measured_for_a_user_tactic(tmp_path):
     (tmp_path / "mine.py").write_text(
         "class Fails:\n    def decide(self, view):\n        raise RuntimeError('mine')\n"
     )

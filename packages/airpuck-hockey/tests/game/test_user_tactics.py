@@ -33,7 +33,7 @@ RENDEZVOUS = "airpuck.Rendezvous(0.01, [-0.8, 0, 0, 0, 0, 0], then=Where())"
 
 @pytest.mark.parametrize("misdeed", MISDEEDS.values(), ids=MISDEEDS)
 @pytest.mark.parametrize("place", ["init", "decide"])
-def test_a_tactic_that_misbehaves_is_one_line(tmp_path, capsys, place, misdeed):
+def test_a_misbehaving_tactic_ends_in_one_line(tmp_path, capsys, place, misdeed):
     name = written(tmp_path, TACTIC, place, misdeed)
     with pytest.raises(InputError) as error:
         match(name, "human", rules=Rules(limit_s=0.1), workers=1)
@@ -41,7 +41,7 @@ def test_a_tactic_that_misbehaves_is_one_line(tmp_path, capsys, place, misdeed):
 
 
 @pytest.mark.parametrize("verb", ["match", "watch-match"])
-def test_an_exit_is_no_end_and_what_is_printed_is_no_json(tmp_path, verb):
+def test_a_tactic_cannot_end_the_command_or_corrupt_its_json(tmp_path, verb):
     for misdeed, said in MISTAKEN_FOR_OURS.items():
         name = written(tmp_path, TACTIC, "at", misdeed)
         ended = command_line.airpuck(verb, "--left", name, "--limit", "0.1", "--json", "-")
@@ -56,7 +56,7 @@ def test_an_exit_is_no_end_and_what_is_printed_is_no_json(tmp_path, verb):
 
 @pytest.mark.parametrize("where", ["Where()", RENDEZVOUS])
 @pytest.mark.parametrize("place", ["at", "asked", "over"])
-def test_a_reference_that_misbehaves_is_one_line(tmp_path, capsys, place, where):
+def test_a_misbehaving_reference_ends_in_one_line(tmp_path, capsys, place, where):
     name = written(tmp_path, TACTIC, place, where=where)
     with pytest.raises(InputError) as error:
         match(name, "human", rules=Rules(limit_s=0.1), workers=1)

@@ -19,7 +19,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.realtime]
 TOPIC, MALLET = "/optitrack/puck/pose", "/optitrack/mallet/pose"
 
 
-def test_its_poses_are_on_the_graph_and_a_filter_follows_them(domain):
+def test_its_poses_are_published_and_a_filter_follows_them(domain):
     twin = Process("twin", "--quiet", "--puck", 0.6, 0.3, 0.0, 1.0, domain=domain)
     watch = Watch(domain)
     try:
@@ -49,7 +49,7 @@ def hear(page, condition, seconds=60.0):
     raise AssertionError(f"no such message in {seconds:g} s")
 
 
-def test_the_craft_plays_who_sits_at_the_page(domain):
+def test_the_craft_plays_against_a_person_at_the_page(domain):
     pytest.importorskip("websockets")
     from websockets.sync.client import connect
 

@@ -65,7 +65,7 @@ class Table:
         publisher.send(codec.encode(self._clock.stamp_ns(now), noisy))
 
 
-def test_goals_are_seen_said_and_counted(domain, monkeypatch, capsys):
+def test_goals_are_detected_announced_and_counted(domain, monkeypatch, capsys):
     monkeypatch.setattr(fly, "prioritize", lambda **_: None)
     table = Table(domain)
     try:

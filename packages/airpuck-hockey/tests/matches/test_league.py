@@ -15,7 +15,7 @@ SHORT = Rules(limit_s=3.0)
 PLAYERS = ("keeper", "striker:hard", "human")
 
 
-def test_all_pairs_play_once_then_on_the_other_sides_and_never_again(tmp_path, monkeypatch):
+def test_all_pairs_play_once_on_each_side(tmp_path, monkeypatch):
     played = []
     original = match.Game
 
@@ -41,7 +41,7 @@ def test_all_pairs_play_once_then_on_the_other_sides_and_never_again(tmp_path, m
     assert again.to_json() == found.to_json()
 
 
-def test_figures_of_a_pair_are_those_of_both_sides():
+def test_figures_of_a_pair_include_both_sides():
     games = (
         (0, 1, {"left_goals": 3, "right_goals": 1, "duration_s": 60.0}),
         (1, 0, {"left_goals": 2, "right_goals": 2, "duration_s": 30.0}),
@@ -93,7 +93,7 @@ def test_goals_of_a_result_add_up():
     np.testing.assert_allclose(points + points.T, found.total("games"))
 
 
-def test_only_the_pairs_of_one_player_play(tmp_path):
+def test_only_pairs_with_a_given_player_play(tmp_path):
     rules = Rules(limit_s=0.2)
     found = league(PLAYERS, 1, rules=rules, workers=1, output=tmp_path, only="human")
     assert sorted(game[:2] for game in found.games) == [(0, 2), (1, 2)]

@@ -58,7 +58,7 @@ def test_games_add_up_and_are_played_once(tmp_path, monkeypatch):
     assert len(list((tmp_path / "games").glob("6-*"))) == 2
 
 
-def test_an_interrupted_match_says_whether_its_games_are_kept(tmp_path, monkeypatch):
+def test_an_interrupted_match_states_whether_its_games_are_kept(tmp_path, monkeypatch):
     def interrupted(item, tell):
         raise Stopped(signal.SIGINT)
 
@@ -77,7 +77,7 @@ def test_the_interval_of_wins_is_wilsons():
 
 
 @pytest.mark.slow
-def test_a_tactic_that_fails_fails_the_match(tmp_path):
+def test_a_failing_tactic_fails_the_match(tmp_path):
     (tmp_path / "bad.py").write_text("class Bad:\n    def decide(self, view): return 1 / 0\n")
     name = f"{tmp_path / 'bad.py'}:Bad"
     with pytest.raises(InputError, match="ZeroDivisionError") as error:
@@ -85,7 +85,7 @@ def test_a_tactic_that_fails_fails_the_match(tmp_path):
     assert "bad.py:Bad" in str(error.value)
 
 
-def test_a_tactics_file_belongs_to_the_key_and_where_the_bag_goes_does_not(tmp_path):
+def test_the_key_depends_on_the_tactics_file_but_not_on_the_bag_folder(tmp_path):
     file = tmp_path / "mine.py"
     file.write_text("class Mine: ...\n")
     name = f"{file}:Mine"
@@ -98,7 +98,7 @@ def test_a_tactics_file_belongs_to_the_key_and_where_the_bag_goes_does_not(tmp_p
 
 
 @pytest.mark.slow
-def test_a_campaign_can_play(tmp_path):
+def test_a_campaign_can_play_matches(tmp_path):
     (tmp_path / "mine.py").write_text("class Mine: ...\n")
     (tmp_path / "spec.toml").write_text(
         'kind = "match"\nseeds = 2\nbase.left = "mine.py:Mine"\n'
@@ -110,7 +110,7 @@ def test_a_campaign_can_play(tmp_path):
 
 
 @pytest.mark.slow
-def test_from_the_command_line(tmp_path):
+def test_a_match_is_played_from_the_command_line(tmp_path):
     who = ("--left", "human:hard", "--right", "human:easy")
     done = airpuck(
         "match", *who, "--games", "2", "--limit", "2", "--workers", "1", "--json", "-", cwd=tmp_path
@@ -135,7 +135,7 @@ def test_the_last_seed_of_a_match_has_a_limit():
         match("human", "human", 2, seed=2**62 - 1, workers=1)
 
 
-def test_a_module_that_a_tactic_imports_belongs_to_its_key(tmp_path):
+def test_a_module_imported_by_a_tactic_belongs_to_its_key(tmp_path):
     (tmp_path / "mine.py").write_text("import numpy\nfrom beside import far\nclass Mine: ...\n")
     (tmp_path / "beside").mkdir()
     (tmp_path / "beside" / "__init__.py").write_text("")
@@ -149,13 +149,13 @@ def test_a_module_that_a_tactic_imports_belongs_to_its_key(tmp_path):
     assert item.key() != before
 
 
-def test_our_code_belongs_to_every_key(monkeypatch):
+def test_every_key_depends_on_our_code(monkeypatch):
     before = Match().key()
     monkeypatch.setattr(items, "program", lambda module: "another")
     assert Match().key() != before
 
 
-def test_a_folder_is_no_model_and_the_root_no_place_for_games(tmp_path):
+def test_a_folder_as_a_model_and_the_root_as_output_are_rejected(tmp_path):
     with pytest.raises(InputError, match="/: is a folder; a file is expected"):
         Match(model="/").key()
     with pytest.raises(InputError, match="/: output: is the root folder"):
@@ -165,7 +165,7 @@ def test_a_folder_is_no_model_and_the_root_no_place_for_games(tmp_path):
         read_spec(tmp_path / "spec.toml")
 
 
-def test_a_damaged_bag_is_written_again(tmp_path):
+def test_a_damaged_bag_is_rewritten(tmp_path):
     play = partial(match, "human", "human", rules=Rules(limit_s=0.1), workers=1, output=tmp_path)
     play()
     (bag,) = (tmp_path / "games").glob("*/*.mcap")
@@ -177,7 +177,7 @@ def test_a_damaged_bag_is_written_again(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_game_is_drawn_in_a_terminal_and_says_how_far_it_is():
+def test_a_game_is_drawn_in_a_terminal_with_its_progress():
     def shown(verb, *arguments):
         """Return what a terminal receives."""
         ours, theirs = pty.openpty()

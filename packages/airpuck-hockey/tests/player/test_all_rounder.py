@@ -33,7 +33,7 @@ class Asked:
         return self.tactic.decide(view)
 
 
-def test_the_first_that_has_something_to_propose_does_it():
+def test_the_first_strategy_with_a_proposal_is_followed():
     strategies = Says(), Says(-0.5), Says(-0.6)
     assert all(isinstance(one, Strategy) for one in strategies)
     found = AllRounder(strategies).decide(view_of((0.3, 0, 0, 0, 0, 0)))
@@ -42,19 +42,19 @@ def test_the_first_that_has_something_to_propose_does_it():
 
 
 @pytest.mark.parametrize("strange", [3, "wait", [Says(), "wait"]])
-def test_what_is_no_strategy_is_refused(strange):
+def test_an_object_that_is_not_a_strategy_is_rejected(strange):
     with pytest.raises(InputError, match=r"strategies: must be .*Strategy"):
         AllRounder(strange)
 
 
-def test_where_nobody_proposes_anything_it_keeps_its_goal():
+def test_without_a_proposal_it_guards_its_goal():
     tactic = AllRounder([Says()])
     found = tactic.decide(view_of((0.6, 0.2, 0, -1.0, 0.0, 0)))
     assert found.kind == "defend"
     assert found.reference.y == pytest.approx(0.2, abs=0.02)
 
 
-def test_without_a_puck_it_defends_blind_and_then_goes_home():
+def test_without_a_puck_it_defends_blindly_and_then_goes_home():
     tactic = AllRounder()
     tactic.decide(view_of((0.6, 0.2, 0, -1.0, 0.0, 0)))
 
@@ -78,7 +78,7 @@ asked: list[int] = []
 
 
 @pytest.mark.parametrize("puck", [(-0.6, 0.45, 0, 0.1, 0, 0), (-0.7, 0.2, 0, 0, 0, 0)])
-def test_one_search_a_decision_and_none_that_waits_for_ever(puck):
+def test_each_decision_has_one_search_and_every_strategy_gets_its_turn(puck):
     tactic = AllRounder()
     # No shot is good enough, so that all other strategies are asked.
     tactic.strategies[0].least = 1.1
@@ -94,7 +94,7 @@ def test_one_search_a_decision_and_none_that_waits_for_ever(puck):
     assert {"free", "clear"} & set(kinds)
 
 
-def test_in_play_a_slow_puck_is_shot_and_a_fast_one_is_stopped():
+def test_a_slow_puck_in_play_is_shot_and_a_fast_one_stopped():
     for speed, kinds in ((0.2, {"strike", "bank", "clear"}), (1.5, {"prepare"})):
         view = view_of((-0.3, 0.1, 0, -speed, 0, 0), opponent=np.array([0.9, 0.0, 0.0, 0.0]))
         tactic = AllRounder(AllRounder().strategies[2:])
@@ -102,7 +102,7 @@ def test_in_play_a_slow_puck_is_shot_and_a_fast_one_is_stopped():
         assert intention.kind in kinds
 
 
-def test_what_it_does_follows_from_where_the_puck_is():
+def test_the_action_depends_on_where_the_puck_is():
     # On the other half: go home. Too fast to shoot: stop it. At rest in front of the craft: shoot.
     expected = {
         (0.7, 0.2, 0, 0.5, 0, 0): {"home"},
@@ -113,7 +113,7 @@ def test_what_it_does_follows_from_where_the_puck_is():
         assert decided(Asked(AllRounder()), view_of(puck), 8).kind in kinds
 
 
-def test_a_game_with_itself_stays_on_its_half():
+def test_repeated_decisions_keep_the_craft_in_its_half():
     tactic, view = AllRounder(), view_of((0.4, 0.3, 0, -1.2, 0.6, 0))
     for _ in range(60):
         intention = tactic.decide(view)

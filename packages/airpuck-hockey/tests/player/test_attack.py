@@ -41,7 +41,7 @@ def distance_to_path(place, path):
 
 
 @pytest.mark.parametrize("puck", RESTING + MOVING)
-def test_a_shot_that_is_likely_to_score_does(puck):
+def test_a_shot_with_a_good_chance_scores(puck):
     view = view_of(puck)
     intention = decided(Shoot(), view)
     assert intention.kind in ("strike", "bank")
@@ -67,7 +67,7 @@ def test_a_shot_that_is_likely_to_score_does(puck):
 
 
 @pytest.mark.parametrize("puck", RESTING + MOVING)
-def test_in_a_mirror_shots_are_as_good(puck):
+def test_mirrored_shots_have_the_same_chance(puck):
     view = view_of(puck, opponent=np.array([0.9, 0.1, 0.0, 0.0]))
     one, other = (decided(Shoot(least=0.0), seen) for seen in (view, mirrored(view)))
     assert one is not None
@@ -75,7 +75,7 @@ def test_in_a_mirror_shots_are_as_good(puck):
     assert one.chance == pytest.approx(other.chance, abs=0.1)
 
 
-def test_a_defender_in_the_way_lowers_the_chance_and_one_aside_does_not():
+def test_only_a_defender_in_the_way_lowers_the_chance():
     puck = (-0.45, 0.0, 0, 0, 0, 0)
     free = decided(Shoot(), view_of(puck)).chance
     chances = [
@@ -86,7 +86,7 @@ def test_a_defender_in_the_way_lowers_the_chance_and_one_aside_does_not():
     assert chances[1] <= free + 0.05
 
 
-def test_a_craft_that_errs_more_has_less_chance():
+def test_a_less_accurate_craft_has_a_lower_chance():
     view = view_of((-0.6, 0.2, 0, 0, 0, 0))
     found = [
         decided(Shoot(least=0.0, error=ArrivalError(place, 20 * place)), view).chance
@@ -95,7 +95,7 @@ def test_a_craft_that_errs_more_has_less_chance():
     assert found[0] > found[1] > found[2]
 
 
-def test_what_cannot_be_shot_is_not():
+def test_an_impossible_shot_is_not_attempted():
     nothing = [
         view_of((0.6, 0.0, 0, 0, 0, 0)),  # on the other half
         view_of((-0.4, 0.0, 0, 3.0, 0, 0)),  # too fast to catch up with
@@ -110,7 +110,7 @@ def test_what_cannot_be_shot_is_not():
     assert decided(Shoot(least=0.0, clears=True), unknown).kind == "clear"
 
 
-def test_a_shot_under_way_is_kept_and_one_that_was_interrupted_is_not():
+def test_a_shot_in_progress_is_kept_unless_it_was_interrupted():
     strategy, view = Shoot(), view_of((-0.45, 0.1, 0, 0, 0, 0))
     first = decided(strategy, view)
     for k in range(4, 8):
@@ -121,14 +121,14 @@ def test_a_shot_under_way_is_kept_and_one_that_was_interrupted_is_not():
     assert strategy.propose(now, Outlook(now)) is None
 
 
-def test_a_shot_is_given_up_when_the_puck_leaves():
+def test_a_shot_is_abandoned_when_the_puck_leaves():
     strategy, view = Shoot(), view_of((-0.45, 0.1, 0, 0, 0, 0))
     assert decided(strategy, view) is not None
     gone = view_of((0.3, 0.1, 0, 1.0, 0, 0), time=0.04)
     assert strategy.propose(gone, Outlook(gone)) is None
 
 
-def test_a_puck_in_the_way_is_gone_round():
+def test_the_craft_goes_round_a_puck_in_its_way():
     # The craft is on the far side of the puck: from there it can only shoot at its own goal.
     view = view_of((-0.6, 0.0, 0, 0, 0, 0), craft=(-0.35, 0.02, 0, 0, 0, 0))
     intention = decided(Shoot(least=0.0), view, 6)
@@ -138,7 +138,7 @@ def test_a_puck_in_the_way_is_gone_round():
         assert intention.avoid[2] > PITCH.contact_distance
 
 
-def test_a_later_contact_is_taken_where_the_sooner_one_is_too_unlikely(monkeypatch):
+def test_a_later_contact_is_chosen_if_the_sooner_one_is_too_unlikely(monkeypatch):
     # A puck that rolls along the table: where it is met says when.
     view = view_of((-0.6, -0.3, 0, 0.0, 0.35, 0))
     seen = []
@@ -157,7 +157,7 @@ def test_a_later_contact_is_taken_where_the_sooner_one_is_too_unlikely(monkeypat
     assert intention.meet[2] > seen[0].min() + 0.01
 
 
-def test_an_opponent_goes_home_when_the_puck_is_gone(monkeypatch):
+def test_an_opponent_is_assumed_to_return_home_when_the_puck_is_gone(monkeypatch):
     seen = []
     known = attack.chances
 
@@ -182,7 +182,7 @@ def test_an_opponent_goes_home_when_the_puck_is_gone(monkeypatch):
         assert np.linalg.norm(places.reshape(-1, 2) - expected, axis=1).min() < 1e-6
 
 
-def test_a_shot_that_the_craft_is_late_for_is_given_up_until_just_before_the_contact():
+def test_a_late_shot_is_abandoned_until_just_before_the_contact():
     view = view_of((-0.45, 0.1, 0, 0, 0, 0))
     for left, given_up in ((0.3, True), (0.1, False)):
         strategy = Shoot()
@@ -208,7 +208,7 @@ def test_a_shot_that_the_craft_is_late_for_is_given_up_until_just_before_the_con
         assert (strategy.propose(late, Outlook(late)) is None) == given_up
 
 
-def test_a_planned_shot_is_replaced_by_one_that_is_worth_0_04_more(monkeypatch):
+def test_a_planned_shot_is_replaced_by_one_better_by_0_04(monkeypatch):
     view, strategy, turns = view_of((-0.2, 0.1, 0, 0, 0, 0)), Shoot(), Turns()
     known, found = attack.chances, []
 
@@ -228,7 +228,7 @@ def test_a_planned_shot_is_replaced_by_one_that_is_worth_0_04_more(monkeypatch):
     assert [one.chance for one in found[1:]] == pytest.approx([0.5] * 10 + [0.6], abs=0.02)
 
 
-def test_where_shots_come_back_quickly_the_craft_is_home_sooner_after_them():
+def test_if_shots_are_returned_quickly_the_craft_is_home_sooner():
     def home_after(returns):
         puck = (-0.35, 0.0, 0, 0, 0, 0)
         view = view_of(puck, (-0.6, 0, 0, 0, 0, 0), opponent=np.array([0.9, 0.0, 0.0, 0.0]))

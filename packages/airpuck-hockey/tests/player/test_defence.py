@@ -42,7 +42,7 @@ def shots(count, speeds=(0.8, 4.0), seed=0):
 
 
 @pytest.mark.parametrize(("aside", "brakes"), [(0.0, True), (0.04, True), (0.2, False)])
-def test_a_craft_on_its_way_home_brakes_if_a_shot_will_hit_it_squarely_anyway(aside, brakes):
+def test_a_returning_craft_brakes_if_a_shot_will_hit_it_squarely_anyway(aside, brakes):
     craft = np.array([-0.45, 0.0, 0.0, -1.3, 0.0, 0.0])
     for sign in (-1, 1):
         puck = PuckState(0.35, sign * aside, 0.0, -7.5, -sign * aside)
@@ -58,7 +58,7 @@ def test_a_craft_on_its_way_home_brakes_if_a_shot_will_hit_it_squarely_anyway(as
             assert stop + PITCH.contact_distance - 0.1 < intention.meet[1] < 0.0
 
 
-def test_a_block_stands_on_the_way_of_the_puck_and_moves_against_it():
+def test_a_block_stands_in_the_path_of_the_puck_and_moves_against_it():
     for view in shots(20):
         intention = block(view, Outlook(view))
         assert intention.kind == "defend"
@@ -90,7 +90,7 @@ def test_a_block_stands_on_the_way_of_the_puck_and_moves_against_it():
         assert time < Outlook(view).threat
 
 
-def test_a_block_goes_back_as_fast_as_it_came():
+def test_a_block_returns_as_fast_as_it_came():
     # Forwards by half of the recoil R v: then v R / 2 becomes - v R / 2 (1 + R).
     for view in shots(10, seed=1):
         intention = block(view, Outlook(view))
@@ -99,7 +99,7 @@ def test_a_block_goes_back_as_fast_as_it_came():
         np.testing.assert_allclose(craft, -velocity, atol=0.15 * np.hypot(*velocity) + 0.02)
 
 
-def test_of_all_places_with_time_enough_a_block_takes_the_nearest():
+def test_a_block_takes_the_nearest_place_that_it_reaches_in_time():
     for view in shots(20, speeds=(0.5, 1.2), seed=2):
         outlook = Outlook(view)
         intention = block(view, outlook)
@@ -117,7 +117,7 @@ def test_of_all_places_with_time_enough_a_block_takes_the_nearest():
         assert np.linalg.norm(stands - view.craft[:2]) < nearest + 0.03
 
 
-def test_a_shot_that_leaves_no_time_is_still_met_on_its_way():
+def test_a_shot_that_leaves_no_time_is_still_intercepted():
     view = view_of((-0.3, 0.1, 0, -5.0, -0.5, 0), craft=(-0.95, -0.2, 0, 0, 0, 0))
     intention = block(view, Outlook(view))
     assert intention.reference.state[1] > -0.1  # towards where it comes
@@ -134,7 +134,7 @@ def test_a_mirrored_table_has_a_mirrored_keeper(strategy):
         assert_mirrored(one, other)
 
 
-def test_a_guard_slows_down_what_comes_slowly_and_blocks_what_comes_fast():
+def test_slow_pucks_are_caught_and_fast_ones_blocked():
     slow = view_of((0.3, 0.05, 0, -1.0, 0.0, 0))
     assert decided(Defend(), slow, 1).kind == "prepare"
     fast = view_of((0.3, 0.05, 0, -5.0, 0.0, 0))
@@ -150,7 +150,7 @@ def waiting(puck):
     return Wait().propose(view, Outlook(view))
 
 
-def test_a_player_that_waits_stands_between_puck_and_goal():
+def test_a_waiting_player_stands_between_puck_and_goal():
     for x, y in ((0.6, 0.3), (0.2, -0.4), (-0.3, 0.2), (1.0, 0.05)):
         intention = waiting((x, y, 0, 0.8, 0, 0))
         stands = np.array([intention.reference.x, intention.reference.y])
@@ -164,7 +164,7 @@ def test_a_player_that_waits_stands_between_puck_and_goal():
     assert waiting((-1.05, 0.35, 0, 0.8, 0, 0)).reference == SetPoint(*PITCH.home, 0.0)
 
 
-def test_a_player_that_waits_keeps_off_a_resting_puck():
+def test_a_waiting_player_stays_clear_of_a_resting_puck():
     for x, y in ((PITCH.home[0] + 0.04, 0.03), (PITCH.home[0] + 0.09, 0.0), (-0.6, 0.2)):
         intention = waiting((x, y, 0, 0, 0, 0))
         stands = np.array([intention.reference.x, intention.reference.y])
@@ -179,7 +179,7 @@ def test_a_player_that_waits_keeps_off_a_resting_puck():
         assert waiting(puck).avoid is None
 
 
-def test_blind_it_defends_where_the_puck_would_have_come():
+def test_without_a_puck_it_defends_where_the_puck_was_heading():
     for y, vy in ((0.2, 0.0), (-0.3, 0.15), (0.1, -0.3)):
         blind = Blind()
         view = view_of((0.3, y, 0, -1.5, vy, 0))
@@ -197,7 +197,7 @@ def test_blind_it_defends_where_the_puck_would_have_come():
         assert (home.kind, home.reference) == ("home", SetPoint(*PITCH.home, 0.0))
 
 
-def test_blind_it_keeps_within_its_goal_and_in_its_middle_if_nothing_comes():
+def test_without_a_puck_it_waits_in_the_middle_of_its_goal():
     for y, vy, line in ((0.5, 0.0, HALF), (-0.5, 0.0, -HALF)):
         blind = Blind()
         view = view_of((-0.6, y, 0, -1.5, vy, 0))
@@ -211,7 +211,7 @@ def test_blind_it_keeps_within_its_goal_and_in_its_middle_if_nothing_comes():
     assert Blind().propose(replace(view, puck=None)).kind == "home"
 
 
-def test_a_shot_at_the_own_goal_is_met_and_others_are_not():
+def test_only_shots_at_the_own_goal_are_intercepted():
     guard = Defend()
     shot = view_of((0.6, 0.1, 0, -3.0, -0.2, 0))
     intention = guard.propose(shot, Outlook(shot))

@@ -24,7 +24,7 @@ from airpuck_hockey.player.shot import unit
 from apparatus.situations import PITCH, PLAY, SEEN, TIMES, view_of
 
 
-def test_slack_is_what_the_shortest_times_leave():
+def test_slack_is_the_time_beyond_the_shortest_flight():
     view = view_of((-0.3, 0, 0, 0, 0, 0), craft=(-0.8, 0, 0, 0, 0, 0))
     needed = float(TIMES((0.3, 0.0), (0.0, 0.0), "rest"))
     left = slack(view, np.array([1.0, 1.2]), np.array([[-0.5, 0.0]] * 2), np.zeros((2, 2)))
@@ -43,14 +43,14 @@ def test_slack_is_what_the_shortest_times_leave():
     assert moving[0] == pytest.approx(time - PITCH.delay - 1.1 * needed - 0.03, abs=2e-3)
 
 
-def test_slack_is_less_where_the_shortest_times_are_uncertain():
+def test_slack_is_smaller_where_the_shortest_times_are_uncertain():
     view = view_of((-0.3, 0, 0, 0, 0, 0), craft=(-0.8, 0, 0, 0, 0, 0))
     unsure = replace(view, times=replace(TIMES, error={"p95": 0.136}))
     there = np.array([1.0]), np.array([[-0.5, 0.0]]), np.zeros((1, 2))
     assert slack(view, *there) - slack(unsure, *there) == pytest.approx(0.1, abs=1e-3)
 
 
-def test_effort_is_the_greatest_acceleration_of_a_cubic():
+def test_effort_is_the_largest_acceleration_of_a_cubic():
     rng = np.random.default_rng(0)
     for _ in range(20):
         craft = np.array([*rng.uniform(-0.9, -0.3, 2), 0, *rng.normal(0, 0.4, 2), 0])
@@ -76,14 +76,14 @@ def test_a_contact_happens_at_its_time_with_its_normal():
     np.testing.assert_allclose(reference.state[3:5], unit(0.3))
 
 
-def test_no_contact_needs_the_other_half_or_a_rail():
+def test_no_contact_reaches_the_other_half_or_a_rail():
     view = view_of((-0.1, 0.0, 0, 0, 0, 0))
     fast = np.array([[1.4, 0.0], [0.2, 0.0], [0.0, 1.4]])
     places = np.array([[-0.15, 0.0], [-0.15, 0.0], [-0.5, 0.4]])
     assert stays_inside(view, places, fast).tolist() == [False, True, False]
 
 
-def test_a_craft_that_is_thrown_back_has_room_for_it():
+def test_a_craft_has_room_to_recoil():
     puck = Disc(0.0, 0.0, vx=-5.0, radius=0.03165, mass=0.010, inertia=5e-6)
     craft = Disc(0.0, 0.0, radius=0.07, mass=PITCH.craft_mass, inertia=PITCH.craft_inertia)
     strike(puck, craft, 1.0, 0.0, PLAY.puck.craft)
@@ -102,7 +102,7 @@ def test_a_craft_that_is_thrown_back_has_room_for_it():
     assert met.state[0] >= PITCH.home[0] - 1e-9
 
 
-def test_the_way_round_the_puck_does_not_touch_it():
+def test_the_path_round_the_puck_does_not_touch_it():
     # The puck lies between the craft and its own goal.
     view = view_of((-0.8, 0.02, 0, 0, 0, 0), craft=(-0.5, 0, 0, 0, 0, 0))
     outlook, place = Outlook(view), np.array([-0.5, 0.0])
@@ -120,7 +120,7 @@ def test_the_way_round_the_puck_does_not_touch_it():
     assert not path_is_clear(view, outlook, through)
 
 
-def test_the_outlook_is_the_way_of_the_twins_puck():
+def test_the_outlook_matches_the_path_of_the_twins_puck():
     for puck in ((0.2, 0.3, 0.1, 2.0, 1.5, 4.0), (0.5, 0.1, 0, -3.0, 0.5, 0), (0, 0, 0, 0, 0, 0)):
         view = view_of(puck, time=3.0)
         outlook, alone = Outlook(view), PuckOnTable(PLAY, PuckState(*puck), 3.0)
@@ -139,7 +139,7 @@ def test_the_outlook_is_the_way_of_the_twins_puck():
     np.testing.assert_allclose(outlook.at(0.025), 0.75 * first + 0.25 * second)
 
 
-def test_a_threat_is_when_the_puck_is_at_the_own_goal():
+def test_the_threat_is_the_arrival_of_the_puck_at_the_own_goal():
     for y, vy in ((0.0, 0.0), (0.3, -0.45), (-0.35, 0.6), (0.4, 1.0)):
         outlook = Outlook(view_of((0.3, y, 0, -2.0, vy, 0)))
         puck = PuckOnTable(PLAY, PuckState(0.3, y, 0.0, -2.0, vy))
@@ -156,7 +156,7 @@ def test_a_threat_is_when_the_puck_is_at_the_own_goal():
         assert Outlook(view_of(puck)).threat is None
 
 
-def test_a_path_counts_until_the_opponent_may_touch_the_puck():
+def test_a_path_is_valid_until_the_opponent_can_touch_the_puck():
     end = Outlook(view_of((0.0, 0, 0, 0, 0, 0))).times[-1]
     beside, away, still = (0.5, 0.2, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), (0.4, 0.0, 0, 0, 0, 0)
     for puck, opponent, until in (
@@ -171,14 +171,14 @@ def test_a_path_counts_until_the_opponent_may_touch_the_puck():
         assert Outlook(view_of(puck, opponent=opponent)).until == pytest.approx(until, abs=0.03)
 
 
-def test_a_puck_that_will_touch_a_post_is_a_threat():
+def test_a_puck_that_will_hit_a_post_is_a_threat():
     # Within one step of the path it comes, touches the post, and is 4 cm away again.
     for shift in np.linspace(0.0, 0.1, 11):
         outlook = Outlook(view_of((-0.3 + shift, 0.19, 0, -5.0, 0, 0)))
         assert outlook.threat == pytest.approx((0.758 + shift) / 5, abs=0.02)
 
 
-def test_a_velocity_is_known_or_not():
+def test_a_velocity_counts_as_known_below_a_deviation():
     view = view_of((0.3, 0, 0, -1.0, 0, 0))
     for deviation, known in ((0.02, True), (0.04, False)):
         covariance = SEEN + np.diag([0, 0, 0, deviation, deviation, 0]) ** 2
@@ -186,7 +186,7 @@ def test_a_velocity_is_known_or_not():
         assert Outlook(replace(view, puck=belief)).known == known
 
 
-def test_a_path_is_clear_where_a_craft_on_a_cubic_keeps_off_the_puck():
+def test_a_path_is_clear_if_a_craft_on_a_cubic_misses_the_puck():
     rng, free, blocked = np.random.default_rng(4), 0, 0
     for _ in range(300):
         craft = np.array([*rng.uniform([-0.95, -0.3], [-0.2, 0.3]), 0, *rng.normal(0, 0.3, 2), 0])
@@ -212,7 +212,7 @@ def test_a_path_is_clear_where_a_craft_on_a_cubic_keeps_off_the_puck():
     assert min(free, blocked) > 20
 
 
-def test_a_way_round_leads_to_the_nearer_side_and_straight_where_nothing_is_between():
+def test_a_detour_leads_to_the_nearer_side_and_is_straight_if_unobstructed():
     goal = np.array([-0.9, 0.0])
     for y, side in ((0.05, -1), (-0.05, 1)):
         view = view_of((-0.7, y, 0, 0, 0, 0), craft=(-0.5, 0, 0, 0, 0, 0))
@@ -227,7 +227,7 @@ def test_a_way_round_leads_to_the_nearer_side_and_straight_where_nothing_is_betw
         assert around(view, Outlook(view), near) == SetPoint(-0.75, 0.0, 0.0)
 
 
-def test_a_run_up_begins_behind_the_contact():
+def test_a_run_up_starts_behind_the_contact():
     view = view_of((-0.4, 0.1, 0, 0, 0, 0), craft=(-0.8, 0.0, 0, 0, 0, 0))
     found = PlannedContact(1.0, 0.3, 1.0, "strike").approach(view, Outlook(view))
     expected = np.array([-0.4, 0.1]) - (PITCH.contact_distance + 0.1) * unit(0.3)
@@ -237,7 +237,7 @@ def test_a_run_up_begins_behind_the_contact():
     np.testing.assert_allclose(found.avoid, (-0.4, 0.1, PITCH.contact_distance + 0.01))
 
 
-def test_a_receding_contact_is_aimed_at_a_little_deeper_than_the_discs_touch():
+def test_the_craft_aims_slightly_beyond_the_contact_with_a_receding_puck():
     for puck, speed in (((0, 0, 0), 1.0), ((-1.0, 0.2, 0), -0.3), ((-0.5, 0, 0), 0.2)):
         view = view_of((-0.4, 0.1, 0, *puck))
         meeting = PlannedContact(0.0, 0.3, speed)

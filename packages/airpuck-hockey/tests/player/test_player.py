@@ -67,7 +67,7 @@ def test_a_shot_is_saved_on_either_side_within_the_own_half(plant, side):
     assert twin.play.puck.goal or side * twin.play.puck.state.vx < 0
 
 
-def test_both_sides_see_the_same_game_turned(plant):
+def test_both_sides_see_the_same_game_rotated(plant):
     seen = []
     for side in (-1, 1):
         player = Player(MODEL, PLAY, tactic := Noted(), side=side)
@@ -80,7 +80,7 @@ def test_both_sides_see_the_same_game_turned(plant):
     np.testing.assert_allclose(seen[0].puck.mean[3:5], seen[1].puck.mean[3:5], atol=0.02)
 
 
-def test_a_turned_reference_is_the_same_motion_seen_from_the_other_side():
+def test_a_rotated_reference_is_the_same_motion_from_the_other_side():
     meet = Rendezvous(1.0, (0.3, 0.1, 0.2, 1.0, -0.5, 0.3), then=SetPoint(0.1, 0.2, 0.0))
     times = np.array([0.1, 0.3, 0.5])
     np.testing.assert_array_equal(asked(Frame(1).reference(meet), 0.4), Frame(1).states(meet.state))
@@ -94,7 +94,7 @@ def test_a_turned_reference_is_the_same_motion_seen_from_the_other_side():
     )
 
 
-def test_a_late_player_sees_what_was(plant):
+def test_a_player_with_reaction_time_sees_the_past(plant):
     player = Player(MODEL, PLAY, tactic := Noted(), level=Level(reaction_s=0.1))
     twin = twin_of(player, puck_for(-1, 0.3, 0.0, 0, -1.0, 0.0, 0.0), plant)
     for _ in control(player, twin, 0.5):
@@ -124,7 +124,7 @@ def test_a_weaker_craft_has_less_thrust_and_needs_longer():
     assert set(LEVELS) == {"easy", "medium", "hard"}
 
 
-def test_the_fence_is_the_own_half():
+def test_the_fence_encloses_the_own_half():
     pitch = pitch_of(MODEL, PLAY)
     assert pitch.fence[1, 0] <= -MODEL.vehicle.radius_m
     assert pitch.inside(np.array([pitch.home])).all()
@@ -160,7 +160,7 @@ def garbage(player, stamp):
 @pytest.mark.parametrize(
     ("then", "sight"), [(moving, "seen"), (frozen, "frozen"), (garbage, "lost")]
 )
-def test_a_puck_that_freezes_or_vanishes_is_noticed(then, sight):
+def test_a_frozen_or_missing_puck_is_recognised(then, sight):
     player = Player(MODEL, PLAY)
     stepped(player, moving, 20)
     assert player.sight == "seen" and player.predicted is not None
@@ -171,7 +171,7 @@ def test_a_puck_that_freezes_or_vanishes_is_noticed(then, sight):
         assert player.predicted is None
 
 
-def test_a_tactic_that_returns_nothing_is_refused_by_name():
+def test_a_tactic_that_returns_nothing_is_rejected_by_name():
     class Idle:
         def decide(self, view):
             return None
@@ -184,7 +184,7 @@ def test_a_tactic_that_returns_nothing_is_refused_by_name():
         Player(MODEL, PLAY, side=0)
 
 
-def test_noise_turns_a_shot_about_the_puck():
+def test_noise_rotates_a_shot_about_the_puck():
     class Striker:
         def decide(self, view):
             state = (-0.4, 0.0, 0.0, 1.0, 0.0, 0.0)
@@ -208,7 +208,7 @@ def test_noise_turns_a_shot_about_the_puck():
 
 
 @pytest.mark.parametrize("side", [-1, 1])
-def test_lists_and_arrays_of_a_tactic_are_turned_on_either_side(side):
+def test_lists_and_arrays_of_a_tactic_are_rotated_on_either_side(side):
     class Plain:
         def decide(self, view):
             given = Intention("home", SetPoint(*view.pitch.home, 0.0))
@@ -241,7 +241,7 @@ def test_the_tactic_of_the_documentation_plays(plant):
     assert twin.play.puck.goal == 0
 
 
-def test_what_was_really_sent_moves_the_estimate():
+def test_the_estimate_uses_the_commands_that_were_sent():
     """Two players see the same poses; only one receives the commands of running propellers."""
     found = []
     for command in (None, np.full(6, MODEL.vehicle.command_max) * [1, 0, 0, 0, 0, 1]):
@@ -256,7 +256,7 @@ def test_what_was_really_sent_moves_the_estimate():
 
 
 @pytest.mark.parametrize("side", [-1, 1])
-def test_a_puck_is_seen_all_over_the_table_and_not_beyond(side):
+def test_a_puck_is_seen_only_on_the_table(side):
     x, y = PLAY.table.length_m / 2, PLAY.table.width_m / 2
     for place, seen in (
         ((x, 0.0), True),
@@ -274,7 +274,7 @@ def test_a_puck_is_seen_all_over_the_table_and_not_beyond(side):
         assert (tactic.views[-1].puck is not None) == seen
 
 
-def test_the_opponents_velocity_is_learned_in_some_frames():
+def test_the_opponents_velocity_is_estimated_within_some_frames():
     player = Player(MODEL, PLAY, tactic := Noted())
 
     def passing(player, stamp):
@@ -308,7 +308,7 @@ def test_a_puck_is_frozen_after_six_repeated_poses():
     assert resting.sight == "seen"
 
 
-def test_a_craft_that_takes_commands_too_rarely_is_refused_before_anything_is_planned():
+def test_too_slow_a_command_rate_is_rejected_before_planning():
     examples = Path(__file__).parents[4] / "examples"
     atmos = airpuck.read_vehicle(examples / "free_flyers/atmos.toml")
     with pytest.raises(InputError, match=r"one command every 100 ms .* hockey needs one every 10"):

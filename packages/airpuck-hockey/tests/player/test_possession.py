@@ -34,7 +34,7 @@ STUCK = [(-1.06, 0.5), (-0.6, 0.51), (-0.9, -0.5), (-1.05, -0.25), (-0.3, 0.5)]
 
 
 @pytest.mark.parametrize("puck", INCOMING)
-def test_a_caught_puck_hardly_moves(puck):
+def test_a_caught_puck_barely_moves(puck):
     view = view_of(puck)
     intention = decided(Catch(), view, 1)
     assert intention.kind == "prepare"
@@ -54,7 +54,7 @@ def test_a_caught_puck_hardly_moves(puck):
 
 
 @pytest.mark.parametrize("puck", INCOMING)
-def test_a_catch_is_kept_while_the_puck_moves_as_foretold(puck):
+def test_a_catch_is_kept_while_the_puck_moves_as_predicted(puck):
     strategy, view = Catch(), view_of(puck)
     first = decided(strategy, view, 1)
     for _ in range(10):
@@ -68,7 +68,7 @@ def test_a_catch_is_kept_while_the_puck_moves_as_foretold(puck):
         )
 
 
-def test_a_catch_is_given_up_when_the_puck_is_deflected_stopped_or_unknown():
+def test_a_catch_is_abandoned_if_the_puck_is_deflected_stopped_or_lost():
     view = view_of((0.2, 0.1, 0, -1.0, -0.1, 0))
     for puck in ((0.19, 0.1, 0, 0.9, 0.4, 0), (0.19, 0.1, 0, -0.01, 0, 0), (0.19, 0.1, 0, 0, 0, 0)):
         strategy = Catch()
@@ -77,7 +77,7 @@ def test_a_catch_is_given_up_when_the_puck_is_deflected_stopped_or_unknown():
         assert strategy.propose(changed, Outlook(changed)) is None
 
 
-def test_only_what_moves_is_caught_and_only_on_the_own_half():
+def test_only_a_moving_puck_in_the_own_half_is_caught():
     assert decided(Catch(), view_of((-0.5, 0.1, 0, -0.03, 0, 0))) is None
     assert decided(Catch(slowest=0.5), view_of((-0.3, 0.1, 0, -0.4, 0, 0))) is None
     assert decided(Catch(slowest=0.3), view_of((-0.3, 0.1, 0, -0.4, 0, 0))) is not None
@@ -114,7 +114,7 @@ def test_a_good_place_has_room_for_the_craft_on_all_sides():
 
 
 @pytest.mark.parametrize("place", STUCK)
-def test_a_stuck_puck_is_pushed_to_a_better_place_and_not_into_the_own_goal(place):
+def test_a_stuck_puck_is_pushed_to_a_better_place_not_into_the_own_goal(place):
     view = view_of((*place, 0, 0, 0, 0), craft=(-0.7, 0.0, 0, 0, 0, 0))
     assert good_place(view, np.array([place]))[0] < 0.25
     found = None
@@ -145,14 +145,14 @@ def test_a_stuck_puck_is_pushed_to_a_better_place_and_not_into_the_own_goal(plac
     assert good_place(view, np.array(places)).max() > good_place(view, np.array([place]))[0] + 0.1
 
 
-def test_only_a_slow_puck_at_a_bad_place_within_reach_is_freed():
+def test_only_a_slow_badly_placed_puck_within_reach_is_freed():
     assert decided(Free(), view_of((-0.5, 0.0, 0, 0, 0, 0)), 6) is None  # a good place
     assert decided(Free(), view_of((-0.6, 0.51, 0, 0.6, 0, 0)), 6) is None  # fast
     assert decided(Free(), view_of((0.6, 0.51, 0, 0, 0, 0)), 6) is None  # not ours
     assert decided(Free(), view_of((-0.6, 0.51, 0, 0, 0, 0)), 6) is not None
 
 
-def test_a_push_waits_until_nothing_lies_between():
+def test_a_push_waits_until_its_path_is_clear():
     kinds = []
     for place in STUCK:
         for angle in np.arange(0.0, 6.0, 0.5):
@@ -174,7 +174,7 @@ def test_a_push_waits_until_nothing_lies_between():
     assert {"round", "straight"} == set(kinds)
 
 
-def test_no_push_aims_at_the_own_goal_or_narrowly_past_it():
+def test_no_push_aims_at_or_narrowly_past_the_own_goal():
     pushed = 0
     for aside in (-0.15, 0.0, 0.12):
         for craft in ((-0.85, 0.3), (-0.9, 0.0), (-0.95, 0.25)):

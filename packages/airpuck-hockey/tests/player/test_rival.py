@@ -6,7 +6,7 @@ import pytest
 from airpuck_hockey.player.rival import Rival, RivalWatcher
 
 
-def test_stance_speed_and_reaction_are_learned():
+def test_stance_speed_and_reaction_time_are_learned():
     watcher, y, speed = RivalWatcher(1.1), 0.0, 0.0
     for k in range(4000):
         time = k / 200
@@ -27,7 +27,7 @@ def test_stance_speed_and_reaction_are_learned():
     assert rival.follows == pytest.approx(0.5, abs=0.02)
 
 
-def test_nobody_moves_before_the_reaction_and_everybody_speeds_up():
+def test_an_opponent_accelerates_only_after_its_reaction_time():
     rival = Rival(reaction=0.2, speed=2.0)
     times = np.linspace(0.0, 1.0, 1001)
     reach = rival.reach(times)
@@ -37,7 +37,7 @@ def test_nobody_moves_before_the_reaction_and_everybody_speeds_up():
     assert reach[-1] == pytest.approx(0.05 * 1.0 + 0.75 * 2.0)
 
 
-def test_returns_last_from_the_centre_line_to_the_goal():
+def test_return_times_are_measured_from_centre_line_to_goal():
     watcher = RivalWatcher(1.1)
     # Away at 2 m/s, 0.3 s in the other half, back at 4 m/s; then away again, and lost in the goal.
     for k in range(100):
@@ -54,7 +54,7 @@ def test_returns_last_from_the_centre_line_to_the_goal():
     assert rival.is_quicker(np.array([0.5, 0.7])).tolist() == pytest.approx([0.0, 1 / 3])
 
 
-def test_bank_shots_that_never_score_are_expected_to_score_less():
+def test_bank_shots_that_never_score_get_a_lower_expected_chance():
     watcher, time, shares = RivalWatcher(1.1), 0.0, []
     for scores in (False,) * 6 + (True,) * 6:
         watcher.shot(time, np.zeros(4), banked=0.2 * watcher.rival.banks)

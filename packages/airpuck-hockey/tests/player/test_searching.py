@@ -29,7 +29,7 @@ def on_the_way(view, intention, left):
 
 
 @pytest.mark.parametrize(("strategy", "puck"), PLANS)
-def test_every_plan_is_final_in_the_last_0_15_s_and_expires_after_0_03_s(strategy, puck):
+def test_plans_are_final_in_the_last_0_15_s_and_expire_after_0_03_s(strategy, puck):
     thrown = np.array([-0.95, -0.4, 0.0, -1.0, -1.0, 0.0])
     for left, lost, kept in (
         (0.2, False, True),  # it can be kept
@@ -54,7 +54,7 @@ def test_every_plan_is_final_in_the_last_0_15_s_and_expires_after_0_03_s(strateg
 
 
 @pytest.mark.parametrize(("strategy", "puck"), PLANS)
-def test_no_plan_outlives_a_break(strategy, puck):
+def test_no_plan_survives_an_interruption(strategy, puck):
     made, view = strategy(), view_of(puck)
     found = decided(made, view, 12)
     for time, kept in ((0.15, True), (0.21, False)):
@@ -79,7 +79,7 @@ class Waits(Searcher):
         pass
 
 
-def test_the_turn_to_search_does_not_depend_on_the_order():
+def test_search_turns_do_not_depend_on_the_order_of_strategies():
     view = view_of(RESTS)
     outlook = Outlook(view)
     orders = []
@@ -100,7 +100,7 @@ def test_a_searcher_waits_for_its_next_turn():
     assert turns.give(view, Outlook(view), []) is None
 
 
-def test_who_has_a_plan_does_not_search_for_another_unless_it_may_be_better():
+def test_a_strategy_with_a_plan_searches_only_for_a_better_one():
     view = view_of(COMES)
     catch, turns = Catch(), Turns()
     assert asked(catch, view, turns) is not None

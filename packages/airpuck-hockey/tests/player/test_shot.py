@@ -41,7 +41,7 @@ def contact(place, puck, normal, speed):
     )
 
 
-def test_a_push_along_the_normal_by_hand():
+def test_a_push_along_the_normal_matches_a_hand_calculation():
     # A free collision: the puck gets (1 + e) M / (M + m) of the craft's speed.
     after = struck(PITCH, contact((-0.4, 0.1), (0, 0, 0), [0.3, -1.0], 1.2))
     share = (1 + 0.8) * PITCH.craft_mass / (PITCH.craft_mass + PLAY.puck.mass_kg)
@@ -49,7 +49,7 @@ def test_a_push_along_the_normal_by_hand():
     np.testing.assert_allclose(after[:, 2], 0.0, atol=1e-12)
 
 
-def test_contacts_are_those_of_single_discs():
+def test_batched_contacts_match_single_discs():
     rng = np.random.default_rng(0)
     normal, motion = rng.uniform(-1.4, 1.4, 50), rng.uniform([-2, -2, -20], [0, 2, 20], (50, 3))
     craft = rng.uniform(0.3, 1.5, (50, 1)) * unit(normal)
@@ -63,7 +63,7 @@ def test_contacts_are_those_of_single_discs():
         np.testing.assert_allclose(after[k], [puck.vx, puck.vy, puck.spin], rtol=1e-9, atol=1e-12)
 
 
-def test_a_straight_shot_scores_where_the_line_leaves_room_beside_the_posts():
+def test_a_straight_shot_scores_if_its_line_clears_the_posts():
     start = np.array([-0.3, 0.2])
     for post in (-HALF, HALF):
         # The line that touches the post, by the angles of a right triangle.
@@ -81,7 +81,7 @@ def test_a_straight_shot_scores_where_the_line_leaves_room_beside_the_posts():
 
 @pytest.mark.parametrize("bounces", [1, 2])
 @pytest.mark.parametrize("side", [-1, 1])
-def test_a_bank_shot_goes_to_the_mirror_image_of_the_goal(bounces, side):
+def test_a_bank_shot_aims_at_the_mirror_image_of_the_goal(bounces, side):
     # Behind mirrors at ±h, images of the goal's middle are at 2h and 4h - 0.
     start, reach = np.array([-0.4, 0.12]), PLAY.table.width_m / 2 - RADIUS
     image = side * 2 * reach * bounces
@@ -94,7 +94,7 @@ def test_a_bank_shot_goes_to_the_mirror_image_of_the_goal(bounces, side):
     assert not found.scores[1:].any() or bounces == 2
 
 
-def test_flights_end_as_those_of_the_twins_puck():
+def test_shots_end_where_the_twins_puck_does():
     rng = np.random.default_rng(1)
     place = rng.uniform([-0.8, -0.4], [-0.1, 0.4], (400, 2))
     angle, spin = rng.uniform(-1.2, 1.2, 400), rng.normal(0, 10, 400)
@@ -116,7 +116,7 @@ def test_flights_end_as_those_of_the_twins_puck():
 
 
 @pytest.mark.slow
-def test_the_chance_is_the_share_of_drawn_shots_that_score():
+def test_the_chance_is_the_share_of_sampled_shots_that_score():
     rng = np.random.default_rng(2)
     covariance = np.diag([2e-3, 2e-3, 1e-2, 0.05, 0.05, 1.0]) ** 2
     error, model = ArrivalError(0.005, 0.05), PuckModel(PLAY)
@@ -159,7 +159,7 @@ def test_the_chance_is_the_share_of_drawn_shots_that_score():
         assert chance[0] == pytest.approx(scored / count, abs=0.05)
 
 
-def test_an_opponent_counts_where_it_can_be_in_the_way():
+def test_an_opponent_lowers_the_chance_only_where_it_can_arrive():
     start, motion = np.array([[-0.3, 0.0]]), np.array([[3.0, 0.0, 0.0]])
 
     def passes(x, y):
@@ -214,7 +214,7 @@ def shot_at_a_person(rng: np.random.Generator, seed: int) -> tuple[float, bool] 
 
 
 @pytest.mark.slow
-def test_a_person_lets_past_what_is_expected():
+def test_predicted_chances_match_shots_at_a_scripted_human():
     rng = np.random.default_rng(0)
     drawn = (shot_at_a_person(rng, seed) for seed in range(400))
     chance, goal = np.array([shot for shot in drawn if shot is not None], float).T
@@ -227,7 +227,7 @@ def test_a_person_lets_past_what_is_expected():
 
 @pytest.mark.parametrize("x", [0.0, 0.4, 0.9])
 @pytest.mark.parametrize("aside", [0.15, 0.3, 0.45])
-def test_the_probability_to_get_past_by_hand(x, aside):
+def test_the_probability_to_pass_matches_a_hand_calculation(x, aside):
     # Without drag the puck passes a defender at a known time, and does not meet a rail before.
     start, speed, size = np.array([[-0.3, 0.0]]), 3.0, 0.048
     opponent = np.array([x, aside]), size, Rival(reaction=0.1, speed=2.0)
@@ -239,7 +239,7 @@ def test_the_probability_to_get_past_by_hand(x, aside):
     assert found == pytest.approx(0.5 * (1 + math.erf(room / 0.04 / math.sqrt(2))), abs=1e-9)
 
 
-def test_a_bank_shot_is_read_by_halves():
+def test_a_two_rail_shot_is_anticipated_half_of_the_time():
     # A defender in the mouth of the goal reads a path over two rails half of the time.
     start, reach = np.array([-0.4, 0.1]), PLAY.table.width_m / 2 - RADIUS
     for bounces, low, high in ((1, 0.0, 0.25), (2, 0.5, 0.65)):
@@ -251,7 +251,7 @@ def test_a_bank_shot_is_read_by_halves():
         assert low < found.passes[0] < high
 
 
-def test_a_shot_that_touches_a_post_does_not_score_whatever_comes_after():
+def test_a_shot_that_touches_a_post_never_scores():
     # At 45° the path must pass the post by r √2 along the line; after a bounce it would be less.
     room = HALF - RADIUS * math.sqrt(2)
     places = np.array([[0.8, room - 0.3 + off] for off in (-0.0005, 0.0005)])
@@ -260,7 +260,7 @@ def test_a_shot_that_touches_a_post_does_not_score_whatever_comes_after():
     assert found.bounces.tolist() == [0, 0]
 
 
-def test_less_certain_contacts_have_less_chance_by_drawn_laws_of_contact():
+def test_uncertain_contact_laws_lower_the_chance_as_sampling_predicts():
     # The law of contact alone is uncertain; a bank shot depends on restitution and grip.
     known = AirHockey(
         puck=Puck(
@@ -291,7 +291,7 @@ def test_less_certain_contacts_have_less_chance_by_drawn_laws_of_contact():
         assert chance[0] == pytest.approx(drawn.scores.mean(), abs=0.03)
 
 
-def test_few_errors_that_are_evenly_spread_suffice_for_the_chance():
+def test_a_few_evenly_spread_samples_suffice_for_the_chance():
     rng = np.random.default_rng(0)
     place, motion = rng.uniform([-0.7, -0.3], [-0.2, 0.3], (100, 2)), np.zeros((100, 3))
     normal = rng.uniform(-1.2, 1.2, 100)

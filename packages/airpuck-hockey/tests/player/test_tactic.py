@@ -6,7 +6,7 @@ import pytest
 from apparatus.situations import MODEL, PITCH, PLAY
 
 
-def test_places_are_inside_where_both_coordinates_are():
+def test_a_place_is_inside_if_both_coordinates_are():
     (left, bottom), (right, top) = PITCH.fence
     x, y = (left + right) / 2, (bottom + top) / 2
     places = np.array([[x, y], [left - 1, y], [right + 1, y], [x, bottom - 1], [x, top + 1]])
@@ -15,7 +15,7 @@ def test_places_are_inside_where_both_coordinates_are():
     np.testing.assert_allclose(clipped, [[x, y], [left, y], [right, y], [x, bottom], [x, top]])
 
 
-def test_sizes_by_hand():
+def test_sizes_match_a_hand_calculation():
     puck = PLAY.puck
     assert PITCH.contact_distance == MODEL.vehicle.radius_m + puck.radius_m
     assert PITCH.goal_line == PLAY.table.length_m / 2

@@ -71,7 +71,7 @@ def normalised(fit, truth):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, *(pytest.param(s, marks=pytest.mark.study) for s in (1, 2))])
-def test_every_number_is_found_within_its_standard_error(seed):
+def test_every_parameter_is_found_within_its_standard_error(seed):
     fit = identify_puck(recorded(TRUTH, seed))
     off = normalised(fit, TRUTH)
     assert set(off) == {
@@ -91,7 +91,7 @@ def test_every_number_is_found_within_its_standard_error(seed):
 
 
 @pytest.mark.slow
-def test_standard_errors_know_how_much_bounces_differ():
+def test_standard_errors_include_the_scatter_of_bounces():
     # Restitution scatters by 0.03 from bounce to bounce: its mean is known to 0.03/√n, no better.
     fits = [identify_puck(recorded(TRUTH, seed, scatter=0.03)) for seed in range(2)]
     for fit in fits:
@@ -102,7 +102,7 @@ def test_standard_errors_know_how_much_bounces_differ():
     assert max(map(abs, off)) < 3.5
 
 
-def test_wrong_frames_and_a_puck_without_marks_do_no_harm():
+def test_outlier_frames_and_a_puck_without_markers_do_no_harm():
     fit = identify_puck(recorded(TRUTH, 7, dropped=0.1, wrong=0.005, spins=False))
     assert "spin_drag_1_s" not in fit.play.puck.standard_error
     assert any("spin" in note for note in fit.notes)
@@ -112,7 +112,7 @@ def test_wrong_frames_and_a_puck_without_marks_do_no_harm():
 
 
 @pytest.mark.slow
-def test_several_recordings_count_together():
+def test_several_recordings_are_combined():
     parts = [recorded(TRUTH, seed, 10.0) for seed in (1, 2)]
     one, both = identify_puck(parts[0]), identify_puck(parts)
     assert both.flights > one.flights
@@ -121,7 +121,7 @@ def test_several_recordings_count_together():
 
 
 @pytest.mark.slow
-def test_rails_elsewhere_are_noticed():
+def test_misplaced_rails_are_reported():
     wider = AirHockey(table=Table(length_m=2.2 - 0.012, width_m=1.1 - 0.012))
     fit = identify_puck(recorded(TRUTH, 3), wider)
     assert any("rails are 6 mm farther out" in note for note in fit.notes)
@@ -129,7 +129,7 @@ def test_rails_elsewhere_are_noticed():
 
 
 @pytest.mark.slow
-def test_mallet_and_craft_are_found_where_they_were_recorded():
+def test_mallet_and_craft_contacts_are_identified():
     twin = Twin(published_model("M3"), puck=PuckState(0.4, 0, 0, -3, 0.4), mallet=(0.8, 0), seed=2)
     assert twin.play is not None
     puck, hand, rng = twin.play.puck, twin.play.mallet, np.random.default_rng(0)
@@ -168,7 +168,7 @@ def test_flights_end_where_the_puck_bounces():
     assert sum(len(f.time) for f in flights) > 0.95 * len(time)
 
 
-def test_what_holds_no_moving_puck_is_refused():
+def test_a_recording_without_a_moving_puck_is_rejected():
     time = np.arange(500) / 240
     still = np.zeros((500, 3)) + NOISE * np.random.default_rng(0).normal(size=(500, 3))
     with pytest.raises(InputError, match="barely moves"):
@@ -181,7 +181,7 @@ def test_what_holds_no_moving_puck_is_refused():
         identify_puck(Recording({"pose": stream(time, still)}, "none"))
 
 
-def test_positions_alone_tell_drag_and_restitution():
+def test_positions_alone_determine_drag_and_restitution():
     # A camera: 120 Hz, 0.5 mm, frames repeated, two seconds hidden, and no angle.
     seen, rng = recorded(TRUTH, 5, 30.0), np.random.default_rng(5)
     poses, times = seen["puck"].values[::2].copy(), seen["puck"].stamp_ns[::2] / 1e9
@@ -201,7 +201,7 @@ def test_positions_alone_tell_drag_and_restitution():
     assert any("no angle was recorded" in note for note in fit.notes)
 
 
-def test_another_table_is_said_with_its_size_and_centre():
+def test_a_different_table_is_reported_with_size_and_centre():
     seen = recorded(TRUTH, 6)["puck"]
     moved = seen.values + np.array([1.1, 0.55, 0.0])
     fit = identify_puck(
@@ -214,7 +214,7 @@ def test_another_table_is_said_with_its_size_and_centre():
     assert centre == pytest.approx([1.1, 0.55], abs=0.01)
 
 
-def test_the_scatter_of_bounces_is_that_of_their_restitution():
+def test_the_scatter_of_bounces_is_estimated():
     fits = [identify_puck(recorded(TRUTH, 2, 40.0, scatter=s)) for s in (0.0, 0.05)]
     assert fits[0].rail_scatter < 0.01
     assert fits[1].rail_scatter == pytest.approx(0.05, rel=0.5)

@@ -51,7 +51,7 @@ def test_other_rails_and_drag_are_learned(restitution, drag):
     assert puck.standard_error["drag_1_s"] < 0.02
 
 
-def test_nothing_is_learned_on_request():
+def test_learning_can_be_disabled():
     puck = learned(Puck(rail=Contact(restitution=0.65)), learns=False).model.equipment.puck
     assert puck == Puck()
 
@@ -91,7 +91,7 @@ def shot(rng, speed=4.0):
     return PuckState(*place, 0.0, *way, float(rng.normal(0, 10)))
 
 
-def test_the_estimate_is_as_good_as_it_says():
+def test_the_estimate_is_as_accurate_as_stated():
     # Normalised errors of the whole state: 6 on average, after a third of a second and bounces.
     rng, normalised = np.random.default_rng(1), []
     for _ in range(40):
@@ -103,7 +103,7 @@ def test_the_estimate_is_as_good_as_it_says():
     assert 1.0 < np.mean(normalised) < 7.5
 
 
-def test_bounces_off_rails_are_noticed_when_they_happen():
+def test_bounces_off_rails_are_detected_on_time():
     puck, found = PuckOnTable(PLAY, PuckState(0.2, 0.3, 0, 2.0, 2.5)), PuckFilter(PLAY)
     watched(found, puck, 1.5, np.random.default_rng(2))
     bounces = [t.time for t in puck.touches if t.met == "rail"]
@@ -113,7 +113,7 @@ def test_bounces_off_rails_are_noticed_when_they_happen():
 
 
 @pytest.mark.parametrize("moment", [0.5001, 0.5017, 0.5040])
-def test_a_hit_is_noticed_when_it_happened_and_forgotten_in_some_frames(moment):
+def test_a_hit_is_detected_on_time_and_absorbed_within_some_frames(moment):
     rng = np.random.default_rng(3)
     puck, found = PuckOnTable(PLAY, PuckState(0.0, 0.0, 0, -0.7, 0.2)), PuckFilter(PLAY)
     watched(found, puck, 0.5, rng)
@@ -126,7 +126,7 @@ def test_a_hit_is_noticed_when_it_happened_and_forgotten_in_some_frames(moment):
     assert np.hypot(*errors[4, 3:5]) < 0.06
 
 
-def test_an_outlier_is_no_hit():
+def test_an_outlier_is_not_a_hit():
     rng = np.random.default_rng(4)
     puck, found = PuckOnTable(PLAY, PuckState(0.0, 0.0, 0, 0.7, 0.2)), PuckFilter(PLAY)
     watched(found, puck, 0.3, rng)
@@ -138,7 +138,7 @@ def test_an_outlier_is_no_hit():
     assert np.hypot(*errors[0, 3:5]) < 0.05
 
 
-def test_old_and_broken_poses_are_left_out():
+def test_outdated_and_invalid_poses_are_ignored():
     found = PuckFilter(PLAY)
     found.pose(1.0, np.zeros(3))
     before = found.belief
@@ -151,14 +151,14 @@ def test_old_and_broken_poses_are_left_out():
         PuckFilter(PLAY).predict([0.5])
 
 
-def test_after_a_long_gap_it_begins_anew():
+def test_after_a_long_gap_it_restarts():
     found = PuckFilter(PLAY)
     found.pose(0.0, np.zeros(3))
     found.pose(1.0, np.array([0.5, 0.1, 0.0]))
     assert [e.kind for e in found.events] == ["seen", "seen"]
 
 
-def test_a_prediction_of_what_is_known_exactly_is_the_flight():
+def test_an_exact_state_predicts_the_exact_flight():
     start = PuckState(0.1, 0.2, 0.3, 4.0, 2.0, 5.0)
     times = np.linspace(0.1, 1.0, 10)
     puck = PuckOnTable(KNOWN, start)
@@ -172,7 +172,7 @@ def test_a_prediction_of_what_is_known_exactly_is_the_flight():
     assert len(found.touches) >= 2
 
 
-def test_bands_of_predictions_over_bounces_hold_what_they_should():
+def test_prediction_bands_across_bounces_have_their_stated_coverage():
     # Pucks whose numbers deviate as `PuckModel` assumes, seen for 0.2 s, predicted for 0.5 s.
     rng, inside, total, bounces = np.random.default_rng(5), 0, 0, 0
     names = ("drag_1_s", "spin_drag_1_s")
@@ -205,13 +205,13 @@ def test_bands_of_predictions_over_bounces_hold_what_they_should():
     assert 0.88 <= inside / total <= 0.995
 
 
-def test_numbers_that_were_identified_narrow_the_bands():
+def test_identified_parameters_narrow_the_bands():
     belief = PuckBelief(0.0, np.array([0.0, 0.3, 0, 4.0, 1.0, 0]), np.diag([1e-8] * 3 + [1e-4] * 3))
     wide, narrow = (predict_puck(PuckModel(play), belief, [0.5]) for play in (PLAY, KNOWN))
     assert narrow.covariance[0, 0, 0] < 0.3 * wide.covariance[0, 0, 0]
 
 
-def test_a_crossing_is_where_the_path_is_straight():
+def test_a_crossing_is_where_the_puck_crosses_a_line():
     # Along x at 2 m/s with a drag of 0.2 1/s; then after a bounce off the right rail.
     belief = PuckBelief(1.0, np.array([0.0, 0.3, 0, 2.0, 0.5, 0]), np.zeros((6, 6)))
     found = predict_crossing(PuckModel(KNOWN), belief, 0.4)
@@ -239,7 +239,7 @@ def test_a_drawn_path_has_its_corners_at_the_rails():
     np.testing.assert_allclose(np.abs(corners[:, 1]), reach, atol=1e-6)
 
 
-def test_the_uncertainty_of_a_crossing_is_that_of_many_pucks():
+def test_the_uncertainty_of_a_crossing_matches_many_pucks():
     rng = np.random.default_rng(8)
     mean = np.array([0.0, 0.0, 0, 2.0, 1.5, 0])
     deviation = np.array([1e-3, 1e-3, 1e-3, 0.02, 0.02, 0.5])
@@ -257,7 +257,7 @@ def test_the_uncertainty_of_a_crossing_is_that_of_many_pucks():
     np.testing.assert_allclose(found.covariance, np.cov(np.transpose(drawn)), rtol=0.3, atol=1e-6)
 
 
-def test_what_does_not_cross_in_time_has_no_crossing():
+def test_a_puck_that_does_not_cross_in_time_has_no_crossing():
     nothing = np.zeros((6, 6))
     for mean in ((0, 0.1, 0, 0, 0, 0), (0, 0.1, 0, 0, 1.0, 0), (0, 0.1, 0, -0.2, 0, 0)):
         belief = PuckBelief(0.0, np.array(mean, dtype=float), nothing)
@@ -271,7 +271,7 @@ def test_what_does_not_cross_in_time_has_no_crossing():
     assert found.time == pytest.approx(-math.log(1 - 0.2 * 0.5 / 0.25) / 0.2)
 
 
-def test_the_spin_of_a_puck_says_nothing_about_where_it_goes():
+def test_the_spin_of_a_puck_reveals_nothing_about_its_path():
     found = []
     for spin in (0.0, 30.0):
         one = PuckFilter(PLAY)
@@ -283,7 +283,7 @@ def test_the_spin_of_a_puck_says_nothing_about_where_it_goes():
     np.testing.assert_allclose(found[0], found[1], rtol=1e-6)
 
 
-def test_paths_are_those_of_the_twins_puck_into_the_goal_too():
+def test_paths_match_the_twins_puck_even_into_the_goal():
     rng = np.random.default_rng(9)
     times = np.linspace(0.0, 2.0, 41)
     for play in (PLAY, AirHockey(puck=Puck(drag_1_s=0.0, spin_drag_1_s=0.0))):
@@ -296,7 +296,7 @@ def test_paths_are_those_of_the_twins_puck_into_the_goal_too():
                 np.testing.assert_allclose(state[:5], puck.state[:5], atol=1e-6)
 
 
-def test_predictions_do_not_depend_on_when_time_began():
+def test_predictions_do_not_depend_on_the_time_origin():
     # Stamps count from 1970: their resolution is coarser than the time offset after a bounce.
     random, times = np.random.default_rng(3), np.arange(0.0, 2.0, 0.004)
     began = 1.7e9 + 0.1811554
@@ -307,7 +307,7 @@ def test_predictions_do_not_depend_on_when_time_began():
         np.testing.assert_allclose(found, predict_path(AirHockey(), now, times), atol=1e-4)
 
 
-def test_a_drawn_puck_deviates_as_the_filter_assumes():
+def test_a_sampled_puck_deviates_as_the_filter_assumes():
     random = np.random.default_rng(0)
     play = AirHockey(puck=Puck(standard_error={"drag_1_s": 0.01}))
     assert PuckModel(play).spread["drag_1_s"] == 0.01

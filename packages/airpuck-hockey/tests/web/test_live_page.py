@@ -125,7 +125,7 @@ def phase_of(flight: Flight, wanted: str) -> bool:
     return any(one.get("phase") == wanted for one in flight.said()[SCENE])
 
 
-def test_everything_is_where_it_was_seen(flight):
+def test_everything_is_drawn_where_it_was_seen(flight):
     assert flight.said()[SCENE][0]["phase"] == "starting"
     flight.step(craft=(-0.8, 0.1, 0.2), puck=(0.3, 0.2, 1.0), mallet=(0.8, -0.1, 0.0))
     flight.step(craft=(-0.8, 0.1, 0.2), puck=(0.3, 0.2, 1.0), mallet=(0.82, -0.1, 0.0))
@@ -138,7 +138,7 @@ def test_everything_is_where_it_was_seen(flight):
     assert (status["phase"], status["score"], status["level"]) == ("watch", [0, 0], "hard")
 
 
-def test_what_is_not_seen_is_nowhere(flight):
+def test_unseen_objects_are_not_drawn(flight):
     flight.step(craft=(-0.8, 0.1, 0.2), puck=(0.3, 0.2, 1.0))
     for _ in range(20):
         flight.step(craft=(-0.8, 0.1, 0.2))
@@ -152,14 +152,14 @@ def test_what_is_not_seen_is_nowhere(flight):
     assert flight.said()[STATE] == []
 
 
-def test_goals_are_told(flight):
+def test_goals_are_announced(flight):
     flight.score.rulings = [Ruling("goal", -1), Ruling("over", -1)]
     flight.step(craft=(-0.8, 0.1, 0.2))
     events = flight.said()[EVENT]
     assert [(one["kind"], one["side"]) for one in events] == [("goal", -1), ("over", -1)]
 
 
-def test_thoughts_are_told_on_request(flight):
+def test_thoughts_are_sent_on_request(flight):
     flight.ask("think", on=True)
     for _ in range(4):
         flight.step(craft=(-0.8, 0.1, 0.2))
@@ -172,7 +172,7 @@ def test_thoughts_are_told_on_request(flight):
     assert flight.said()[THOUGHT] == []
 
 
-def test_who_sits_at_a_page_moves_a_mallet_that_is_guided(flight, domain):
+def test_a_player_at_a_page_moves_a_guided_mallet(flight, domain):
     table = Table(domain, guided=True)
     try:
         flight.wish(0.5, 0.3)  # no page is seated
@@ -195,7 +195,7 @@ def test_who_sits_at_a_page_moves_a_mallet_that_is_guided(flight, domain):
         table.graph.close()
 
 
-def test_pages_only_show_where_the_human_is_at_the_table(flight, domain):
+def test_pages_only_watch_if_a_human_plays_at_the_table(flight, domain):
     """A recorder receives everything, but sends no poses of a mallet."""
     table, recorder = Table(domain), Table(domain, sees=False, guided=True)
     try:
@@ -214,7 +214,7 @@ def test_pages_only_show_where_the_human_is_at_the_table(flight, domain):
         recorder.graph.close()
 
 
-def test_a_flight_waits_for_no_page(flight):
+def test_a_flight_does_not_wait_for_its_pages(flight):
     """The server stalls: it reads nothing for a minute."""
     begin = time.monotonic()
     for _ in range(6000):
@@ -225,7 +225,7 @@ def test_a_flight_waits_for_no_page(flight):
     assert len(flight.said()[STATE]) == 1
 
 
-def test_a_flight_goes_on_without_its_pages(flight):
+def test_a_flight_continues_without_its_pages(flight):
     flight.far.close()
     for _ in range(3):
         flight.step(craft=(-0.8, 0.1, 0.2))

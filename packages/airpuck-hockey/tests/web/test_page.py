@@ -35,7 +35,7 @@ from tests.apparatus.pages import barriers
 
 
 @pytest.mark.slow
-def test_a_page_sees_a_game_from_its_beginning_to_its_end(monkeypatch):
+def test_a_page_shows_a_game_from_start_to_end(monkeypatch):
     pytest.importorskip("websockets")
     from websockets.exceptions import ConnectionClosed
     from websockets.sync.client import connect
@@ -176,7 +176,7 @@ class Page:
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.parametrize("width", [1280, 390])
-def test_the_game_has_no_barrier(browser, arena, width, scheme):
+def test_the_game_has_no_accessibility_barrier(browser, arena, width, scheme):
     page = Page(browser, arena, viewport={"width": width, "height": 800}, color_scheme=scheme)
     assert barriers(page.tab) == []
     page.status("play")
@@ -186,7 +186,7 @@ def test_the_game_has_no_barrier(browser, arena, width, scheme):
 @pytest.mark.parametrize(
     ("width", "height", "tall"), [(1280, 720, False), (390, 800, True), (800, 360, False)]
 )
-def test_everything_is_where_the_state_says(browser, arena, width, height, tall):
+def test_everything_is_drawn_where_the_state_says(browser, arena, width, height, tall):
     page = Page(browser, arena, viewport={"width": width, "height": height})
     page.status("play")
     page.show()
@@ -215,7 +215,7 @@ def test_everything_is_where_the_state_says(browser, arena, width, height, tall)
     assert [url for url in page.asked if not url.startswith(ours)] == []
 
 
-def test_everything_stays_where_it_is_while_time_stands_still(browser, arena):
+def test_everything_stays_in_place_while_time_stands_still(browser, arena):
     page = Page(browser, arena, viewport={"width": 1280, "height": 720})
     page.status("paused")
     page.show()
@@ -225,7 +225,7 @@ def test_everything_stays_where_it_is_while_time_stands_still(browser, arena):
     assert page.tab.evaluate("airpuck.states.length") <= 20
 
 
-def test_the_pointer_is_told_in_metres(browser, arena):
+def test_the_pointer_position_is_sent_in_metres(browser, arena):
     page = Page(browser, arena, viewport={"width": 1280, "height": 720})
     arena.hears("sit")
     page.status("play")
@@ -236,7 +236,7 @@ def test_the_pointer_is_told_in_metres(browser, arena):
     assert (x, y) == pytest.approx((0.5, 0.25), abs=0.004)
 
 
-def test_a_finger_moves_the_mallet_before_it(browser, arena):
+def test_a_finger_moves_the_mallet_ahead_of_it(browser, arena):
     page = Page(
         browser, arena, viewport={"width": 390, "height": 800}, has_touch=True, is_mobile=True
     )
@@ -250,7 +250,7 @@ def test_a_finger_moves_the_mallet_before_it(browser, arena):
     assert 0.3 < x < 0.5
 
 
-def test_the_page_predicts_by_the_law_of_the_server(browser, arena):
+def test_the_page_predicts_the_mallet_like_the_server(browser, arena):
     page = Page(browser, arena, viewport={"width": 800, "height": 500})
     random = np.random.default_rng(0)
     hand = HandMallet(Mallet(), Table(), 0.85, 0.0)
@@ -265,7 +265,7 @@ def test_the_page_predicts_by_the_law_of_the_server(browser, arena):
             assert mallet == pytest.approx((hand.x, hand.y, hand.vx, hand.vy), abs=1e-9)
 
 
-def test_keys_buttons_and_cards(browser, arena):
+def test_keys_buttons_and_cards_work(browser, arena):
     page = Page(browser, arena, viewport={"width": 1280, "height": 720})
     arena.hears("sit")
     title, go = page.tab.locator("#title"), page.tab.locator("#go")
@@ -324,7 +324,7 @@ def brightness(color: str) -> float:
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_the_level_that_is_played_stays_readable_under_the_pointer(browser, arena, scheme):
+def test_the_selected_level_stays_readable_under_the_pointer(browser, arena, scheme):
     page = Page(browser, arena, viewport={"width": 1280, "height": 720}, color_scheme=scheme)
     arena.hears("sit")
     page.status("play")
@@ -337,7 +337,7 @@ def test_the_level_that_is_played_stays_readable_under_the_pointer(browser, aren
     assert page.tab.evaluate("getComputedStyle(byId('levels')).overflow") == "visible"
 
 
-def test_buttons_of_a_phone_are_large_enough_for_a_thumb(browser, arena):
+def test_buttons_on_a_phone_are_large_enough_for_a_thumb(browser, arena):
     for width, height in ((390, 800), (320, 640), (800, 360)):
         page = Page(
             browser,
@@ -375,7 +375,7 @@ def test_a_level_chosen_while_a_game_starts_is_announced_and_sent(browser, arena
 
 
 @pytest.mark.parametrize(("width", "height"), [(1280, 720), (390, 800)])
-def test_keys_move_the_mallet_as_the_arrows_point(browser, arena, width, height):
+def test_arrow_keys_move_the_mallet_in_their_direction(browser, arena, width, height):
     page = Page(browser, arena, viewport={"width": width, "height": height})
     arena.hears("sit")
     page.status("play")
@@ -396,7 +396,7 @@ def test_keys_move_the_mallet_as_the_arrows_point(browser, arena, width, height)
         assert arena.silent()
 
 
-def test_space_presses_a_button_that_was_reached_by_tab(browser, arena):
+def test_space_presses_the_focused_button(browser, arena):
     page = Page(browser, arena, viewport={"width": 1280, "height": 720})
     arena.hears("sit")
     page.status("play")
@@ -418,7 +418,7 @@ def test_a_dark_page_draws_a_dark_table(browser, arena):
     assert page.errors == []
 
 
-def test_a_page_says_that_games_are_recorded(browser, arena):
+def test_a_page_states_that_games_are_recorded(browser, arena):
     page = Page(browser, arena, viewport={"width": 1280, "height": 720})
     arena.hears("sit")
     words, name = page.tab.locator("#words"), page.tab.locator("#right-name")
@@ -459,7 +459,7 @@ def test_thoughts_are_drawn_on_request(browser, arena):
     assert page.errors == []
 
 
-def test_the_second_page_watches_and_may_sit_down(browser, arena):
+def test_the_second_page_watches_until_the_seat_is_free(browser, arena):
     first = Page(browser, arena, viewport={"width": 800, "height": 500})
     second = Page(browser, arena, viewport={"width": 800, "height": 500})
     arena.hears("sit")
@@ -488,7 +488,7 @@ def graph() -> Iterator[Arena]:
         yield made
 
 
-def test_a_game_on_a_graph_cannot_be_paused_and_shows_what_is_seen(browser, graph):
+def test_a_live_game_cannot_be_paused_and_shows_what_is_seen(browser, graph):
     page = Page(browser, graph, viewport={"width": 1280, "height": 720})
     graph.hears("sit")
     page.status("starting")
@@ -522,7 +522,7 @@ def test_a_game_on_a_graph_cannot_be_paused_and_shows_what_is_seen(browser, grap
 
 
 @pytest.mark.parametrize("kinds", [("craft", "craft"), ("hand", "craft"), ("hand", "hand")])
-def test_a_match_shows_what_plays_on_either_side(browser, kinds):
+def test_a_match_shows_who_plays_on_either_side(browser, kinds):
     hello = greeting(live_hello) | {"names": ["one.py:A", "other"], "sides": kinds}
     with closing(Arena(hello, page=GAME_PAGE)) as arena:
         page = Page(browser, arena, viewport={"width": 1280, "height": 720})
@@ -538,14 +538,14 @@ def test_a_match_shows_what_plays_on_either_side(browser, kinds):
         assert page.errors == []
 
 
-def test_a_page_says_that_the_game_has_gone(browser, arena):
+def test_a_page_reports_a_lost_connection(browser, arena):
     page = Page(browser, arena, viewport={"width": 800, "height": 500})
     page.status("play")
     arena.pipe.close()
     page.until("document.getElementById('title').textContent === 'Connection lost'")
 
 
-def test_a_real_game_at_sixty_frames_a_second(chromium):
+def test_a_real_game_runs_at_sixty_frames_a_second(chromium):
     """Run the study for some seconds; pointer-to-pixel latency includes the server."""
     command = [sys.executable, "studies/play_page.py", "--duration", "8"]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)

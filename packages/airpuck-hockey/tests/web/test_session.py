@@ -125,7 +125,7 @@ def begun(table) -> Table:
     return table
 
 
-def test_nothing_moves_before_the_player_says_so(table):
+def test_nothing_moves_before_the_player_starts(table):
     table.run(0.1)
     assert table.phases[-1] == "waiting"
     table.order("sit")
@@ -139,7 +139,7 @@ def test_nothing_moves_before_the_player_says_so(table):
     assert figures["periods"] == len({state.time for state in table.states})
 
 
-def test_time_passes_no_faster_than_on_the_clock(begun):
+def test_time_passes_no_faster_than_the_clock(begun):
     figures = begun.run(1.0)
     times = [state.time for state in begun.states]
     # The slowdown depends on the load of the machine; the study measures it.
@@ -149,7 +149,7 @@ def test_time_passes_no_faster_than_on_the_clock(begun):
     assert steps == pytest.approx([0.01] * len(steps), abs=5e-3)
 
 
-def test_the_mallet_goes_where_the_pointer_is_as_fast_as_a_hand(begun):
+def test_the_mallet_follows_the_pointer_as_fast_as_a_hand(begun):
     begun.wish(7, 0.3, 0.35)
     begun.run(1.5)
     assert begun.states[-1].heard == 7
@@ -165,7 +165,7 @@ def test_the_mallet_goes_where_the_pointer_is_as_fast_as_a_hand(begun):
     assert (x, y) == pytest.approx((0.04815, 0.55 - 0.04815), abs=1e-3)
 
 
-def test_pause(begun):
+def test_a_pause_stops_the_game(begun):
     begun.order("pause")
     begun.run(0.1)
     assert begun.phases == ["paused"]
@@ -178,7 +178,7 @@ def test_pause(begun):
     assert begun.states[-1].mallet[:2] == pytest.approx((0.6, 0.3), abs=1e-3)
 
 
-def test_a_level_begins_a_new_game(begun):
+def test_choosing_a_level_starts_a_new_game(begun):
     assert begun.news[-1]["level"] == "medium"
     begun.order("level", level="easy")
     begun.run(0.1)
@@ -190,7 +190,7 @@ def test_a_level_begins_a_new_game(begun):
     assert begun.phases == []
 
 
-def test_games_are_recorded_with_their_players(tmp_path):
+def test_games_are_recorded_with_the_names_of_their_players(tmp_path):
     with session("easy", record=tmp_path) as table:
         table.order("sit")
         table.order("go")
@@ -222,7 +222,7 @@ def test_a_game_is_recorded_even_if_the_tactic_fails(tmp_path):
     assert 0.3 < np.ptp(recording["mallet"].stamp_ns) / 1e9 < 0.6
 
 
-def test_thoughts_are_told_on_request(begun):
+def test_thoughts_are_sent_on_request(begun):
     begun.run(0.1)
     assert begun.thoughts == []
     begun.order("think", on=True)
@@ -236,7 +236,7 @@ def test_thoughts_are_told_on_request(begun):
     begun.run(0.05)
 
 
-def test_the_craft_goes_home_when_the_player_leaves_and_waits_until_he_is_back(begun):
+def test_the_craft_goes_home_and_waits_while_the_player_is_away(begun):
     begun.run(0.3)
     begun.order("leave")
     begun.run(2.9)
@@ -278,7 +278,7 @@ def test_the_next_visitor_gets_a_new_game_at_the_first_level(begun, monkeypatch,
     assert (begun.news[-1]["phase"], begun.news[-1]["level"]) == ("ready", "medium")
 
 
-def test_a_goal_is_called_and_counted(begun):
+def test_a_goal_is_announced_and_counted(begun):
     puck = begun.session._game.world.puck
     puck.place(puck.state._replace(x=1.05, y=0.0, vx=5.0, vy=0.0))
     begun.wish(1, 0.6, 0.4)
@@ -304,7 +304,7 @@ def test_a_flood_of_restarts_starts_few_games(begun):
     assert begun.states[-1].time > 0.2
 
 
-def test_of_orders_that_wait_for_a_new_game_the_last_counts(begun):
+def test_the_last_order_waiting_for_a_new_game_counts(begun):
     for deed in ("restart", "restart", "go", "pause"):
         begun.order(deed)
     phases = []
@@ -323,7 +323,7 @@ def test_the_session_ends_with_the_page_server_and_keeps_its_figures():
     assert figures["score"] == [0, 0]
 
 
-def test_what_cannot_be_served_is_refused():
+def test_impossible_server_settings_are_rejected():
     model = airpuck.read_model("paper:M3")
     with pytest.raises(InputError, match="--level"):
         play_in_browser(model, level="impossible")
