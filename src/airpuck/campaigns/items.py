@@ -195,6 +195,12 @@ class Tracking(TwinItem):
 class Recovery(TwinItem, Identification, ExcitationPlan):  # pyright: ignore[reportGeneralTypeIssues]
     """One excitation flight of the twin, with a fit that is compared with the truth."""
 
+    @pydantic.model_validator(mode="after")
+    def _excites(self) -> Recovery:
+        if not np.any(self.amplitude):
+            raise InputError("must be above 0 for at least one signal", field="amplitude")
+        return self
+
     def run(self) -> list[Row]:
         """Fly, identify, compare; see `Item.run`."""
         from airpuck.twin.radio import as_received
