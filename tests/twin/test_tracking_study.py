@@ -143,7 +143,7 @@ def test_a_law_flies_the_same_given_by_name_class_or_object():
     points = SetPoints([0.0, 0.1], [(0.0, 0.0, 0.0), (0.1, 0.0, 0.0)])
     laws = ["lqr", airpuck.LQR, airpuck.LQR(M4, airpuck.default_tuning())]
     found = compare_controllers(M4, laws, flights=1, dwell=0.3, set_points=points)
-    assert found.laws == ("lqr", "LQR", "LQR")
+    assert found.laws == ("lqr", "LQR 1", "LQR 2")
     for name, rows in found.figures.items():
         np.testing.assert_array_equal(rows, np.tile(rows[0], (3, 1)), err_msg=name)
 
@@ -190,11 +190,15 @@ def test_a_comparison_names_laws_that_did_not_settle():
         ({"flights": -1}, "flights: must be from 1 to 1000"),
         ({"spread": -1}, "spread: must be from 0 to 1"),
         ({"laws": []}, "laws: must name at least one law"),
-        ({"laws": "lqr"}, "laws: must be a sequence of a text, a class or Law, not 'lqr'"),
+        ({"laws": "lqr"}, "laws: must be a sequence of a text, a subclass of Law or Law, not"),
         (
             {"laws": ["lqr", 3]},
-            "must be a sequence of a text, a class or Law, but contains 3",
+            "must be a sequence of a text, a subclass of Law or Law, but contains 3",
         ),
+        ({"laws": [int]}, "laws: must be .*, but contains the class int$"),
+        ({"laws": [airpuck.Twin]}, "laws: must be .*, but contains the class Twin$"),
+        ({"laws": [airpuck.Law]}, "law: must inherit from airpuck.Law"),
+        ({"laws": ["lqr", "mcp"]}, "laws: must be 'lqr', 'mpc', .*did you mean 'mpc'"),
     ],
 )
 def test_invalid_comparison_options_are_rejected(options, words):

@@ -53,7 +53,7 @@ class Brief:
     """Base of what public functions return: shown in at most 400 characters.
 
     Each word of `SHOWN` is a figure: ``loss``, or ``delay_s=model.delay`` if the name adds a unit.
-    Without it, results show their JSON, tables of files what differs from their defaults, and other
+    Without it, results show their JSON, settings what differs from their defaults, and other
     objects their public attributes.
     """
 
@@ -67,6 +67,10 @@ class Brief:
 
     def __repr__(self) -> str:
         return brief(self)
+
+
+class Changes(Brief):
+    """Base of settings, which all have defaults: shown by what differs from them."""
 
 
 def brief(self: Any, figures: Mapping[str, Any] | None = None) -> str:
@@ -85,31 +89,33 @@ def brief(self: Any, figures: Mapping[str, Any] | None = None) -> str:
 def _figures(shown: Any) -> Mapping[str, Any]:
     """Return an object's figures by name; see `Brief`."""
     if names := getattr(shown, "SHOWN", "").split():
-        words = (word.partition("=") for word in names)
-        return {key: attrgetter(path or key)(shown) for key, _, path in words}
-    if hasattr(shown, "to_json"):
+        words = ((word.split("=")[0], word.split("=")[-1]) for word in names)
+        # An object whose constructor failed lacks some.
+        return {k: attrgetter(p)(shown) for k, p in words if hasattr(shown, p.split(".")[0])}
+    with suppress(AttributeError):  # has none, or is half-made
         return shown.to_json()
     if hasattr(shown, "model_dump"):
         return shown.model_dump(exclude_defaults=True)
-    return {name: value for name, value in vars(shown).items() if name[0] != "_"}
+    usual = vars(type(shown)()).items() if isinstance(shown, Changes) else ()
+    return {k: v for k, v in vars(shown).items() if k[0] != "_" and (k, v) not in usual}
 
 
 def _text(value: Any) -> str:
     """Write a value; only the range of many numbers."""
-    if isinstance(value, float):
-        return f"{value:.4g}"
     if isinstance(value, Mapping):
         return f"{{{', '.join(f'{key}: {_text(one)}' for key, one in value.items())}}}"
     if hasattr(value, "tolist") or isinstance(value, (list, tuple)):
         with suppress(TypeError, ValueError):
             return _range(value)
         value = getattr(value, "tolist", lambda: value)()
+    if isinstance(value, float):
+        return f"{value:.4g}"
     if isinstance(value, (list, tuple)):
         more = [f"{len(value)} in all"] if len(value) > _FEW else []
         return f"[{', '.join([*map(_text, value[:_FEW]), *more])}]"
     if type(value).__repr__ is object.__repr__:
         return type(value).__name__
-    return getattr(value, "__qualname__", None) or " ".join(repr(value).split())
+    return getattr(value, "__qualname__", " ".join(repr(value).partition(" at 0x")[0].split()))
 
 
 def _range(values: Any) -> str:

@@ -18,6 +18,7 @@ from typing import Annotated, Any, ClassVar, Literal, get_args, get_origin
 
 from airpuck.boundary.errors import InputError, either, unknown
 from airpuck.boundary.numbers import Range
+from airpuck.boundary.results import Changes
 
 
 @cache
@@ -58,7 +59,7 @@ def fits(value: Any, hint: Any) -> bool:
             return False
         if origin in (Sequence, tuple):
             return _elements_fit(value, inner)
-        return True
+        return origin is not type or not inner or issubclass(value, inner)
     if origin is Any or not isinstance(origin, type) or hasattr(origin, "array_type"):
         return True  # an array is converted, and its shape checked
     if getattr(origin, "_is_protocol", False) and not getattr(origin, "_is_runtime_protocol", 0):
@@ -123,6 +124,8 @@ def _words(hint: Any) -> str:
         kind, named = re.subn(r"^a ((?:whole )?number|text)$", r"\1s", _words(inner[0]))
         several = f"{len(inner)} {kind}" if named else f"{len(inner)} values: {kind}"
         return f"a sequence of {kind if len(inner) == 1 or inner[-1] is ... else several}"
+    if origin is type and inner:
+        return f"a subclass of {inner[0].__name__}"
     if origin in _kinds():
         return _kinds()[origin][1]
     return getattr(origin, "__name__", str(origin))
@@ -198,7 +201,7 @@ class Declared:
     default: Any
 
 
-class Settings:
+class Settings(Changes):
     """Base of settings objects, which are frozen dataclasses: checks ranges and choices."""
 
     #: Heading of its options in the help of a command.

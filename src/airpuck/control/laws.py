@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from pkgutil import resolve_name
 from typing import Any
 
@@ -42,6 +42,12 @@ def law_label(law: Any) -> str:
     if isinstance(law, str):
         return law.rpartition(":")[2]
     return getattr(law, "__name__", type(law).__name__)
+
+
+def numbered(labels: Sequence[str]) -> list[str]:
+    """Return labels with a number on each that occurs several times."""
+    counts = ((one, labels.count(one), labels[: k + 1].count(one)) for k, one in enumerate(labels))
+    return [f"{one} {number}" if several > 1 else one for one, several, number in counts]
 
 
 def name_among(names: Iterable[str], law: str, otherwise: str) -> str:

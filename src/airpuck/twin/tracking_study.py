@@ -12,10 +12,10 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from airpuck.boundary import numbers
-from airpuck.boundary.errors import InputError
+from airpuck.boundary.errors import InputError, about
 from airpuck.boundary.results import Result, plain
 from airpuck.control.law import Law
-from airpuck.control.laws import PAPERS, law_label
+from airpuck.control.laws import PAPERS, law_label, numbered
 from airpuck.control.lqr import LQRSettings, lqr_gain
 from airpuck.control.reference import SetPoints, check_inside
 from airpuck.control.settings import DWELL, ControllerKind, Dwell
@@ -235,11 +235,10 @@ def tracking_study(
     border = settings.table.reach(truth.vehicle.radius_m)
     if set_points is not None:
         check_inside(set_points, border, "the rails")
-    if dwell is None:
-        dwell = DWELL * patience(truth.vehicle)
+    dwell = DWELL * patience(truth.vehicle) if dwell is None else dwell
     tunings = [tuning or tuning_for(model) for model in models]
     laws = laws or tuple({one.law.kind: None for one in tunings})
-    beyond_paper = set(laws) != {PAPERS}
+    beyond_paper = any(law != PAPERS for law in laws)
     full = beyond_paper if controller is None else controller == "full"
     fly = partial(
         _flown,
@@ -256,11 +255,12 @@ def tracking_study(
         task = _Task.planned(set_points, dwell, border)
         if flight is not None:
             task = _Task.flown(Track.of(flight, model.vehicle, f"{model.name}, real"), border)
-        for kind in laws:
-            label = f"{model.name} {law_label(kind)}" if beyond_paper else model.name
+        for kind, name in zip(laws, numbered([law_label(law) for law in laws]), strict=True):
+            label = f"{model.name} {name}" if beyond_paper else model.name
             named = isinstance(kind, str)
-            own = make_pilot or (pilot_named(kind) if named else None)
-            controls = tuned.with_law(kind) if named else tuned
+            with about(None, lambda field: field or "laws"):
+                own = make_pilot or (pilot_named(kind) if named else None)
+                controls = tuned.with_law(kind) if named else tuned
             found.append(fly(model, flight, task, label, kind, tuning=controls, make_pilot=own))
     return found
 
@@ -496,5 +496,5 @@ def compare_controllers(
     figures = {k: np.array([[one[k] for one in flight] for flight in rows]).T for k in rows[0][0]}
     # A mean over the points where a law settled would favour a law that settles only at easy ones.
     figures["settling_time_s"][figures["not_settled"] > 0] = np.nan
-    names = tuple(law if isinstance(law, str) else law_label(law) for law in laws)
-    return ControllerComparison(names, figures)
+    names = numbered([law if isinstance(law, str) else law_label(law) for law in laws])
+    return ControllerComparison(tuple(names), figures)
