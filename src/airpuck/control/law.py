@@ -189,7 +189,6 @@ class Law(Brief):
     'open loop'
     """
 
-    SHOWN = "title gain"
     Settings: ClassVar[type[LawSettings] | None] = None
     title: ClassVar[str] = "a law of its own"
     looks_ahead: ClassVar[bool] = True
@@ -234,6 +233,8 @@ class Law(Brief):
 class UserLaw(Law):
     """A law from a user's class, with its results checked."""
 
+    SHOWN = "law=_own"
+
     def __init__(self, own: Law, code: UserCode) -> None:
         self._own, self._code = own, code
         self.stage, self.inputs, self.obeys_limits = own.stage, own.inputs, own.obeys_limits
@@ -273,7 +274,7 @@ def make_law(law: str | type[Law] | Law, model: Model, tuning: Tuning, options: 
     if isinstance(law, Law):
         return copy(law)
     made = (law_named(law) if isinstance(law, str) else law)(model, tuning, options)
-    if not isinstance(made, Law):
+    if not isinstance(made, Law) or type(made) is Law:
         raise InputError("must inherit from airpuck.Law; see docs/control.md", field="law")
     return made
 

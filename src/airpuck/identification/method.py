@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float
 
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.numbers import check_finite
+from airpuck.boundary.results import Changes
 from airpuck.evaluation.evaluate import prediction_errors
 from airpuck.identification.objective import PredictionLoss, Quadratic
 from airpuck.identification.uncertainty import scaling
@@ -177,7 +178,7 @@ _WIDEST = 1e6
 
 
 @dataclass(frozen=True)
-class LevenbergMarquardt:
+class LevenbergMarquardt(Changes):
     """Damped Gauss-Newton steps, each the solution of a small quadratic program.
 
     Every iterate respects the bounds and, with `monotone`, condition (thrust_cond): the thrust

@@ -94,6 +94,7 @@ class Uncertainty(Brief):
         Intervals by resampling, if computed (`airpuck.bootstrap`).
     """
 
+    SHOWN = "estimate standard_errors undetermined clusters notes bootstrap"
     estimate: Float[np.ndarray, " P"]
     covariance: Float[np.ndarray, "P P"]
     standard_errors: Float[np.ndarray, " P"]
