@@ -32,6 +32,8 @@ from airpuck.model.model_file import Model, nominal_model
 
 #: Predicts the craft, and evaluates a law's stage there; see `Moment`.
 _Foresee = Callable[..., tuple[Estimate, Sequence[Any]]]
+#: Remedies for limits that a law of the user or one of ours ignores.
+_REMEDIES = ("if the law keeps them, set `obeys_limits = True` in its class", 'use law="mpc"')
 
 
 @checked_class
@@ -148,10 +150,12 @@ class TrackingController(Pilot):
     def limits(self, given: Iterable[Limit]) -> None:
         limits = checked_limits(given)
         if limits and not self.law.obeys_limits:
-            problem = f'are ignored by {self.law.title}; use law="mpc"'
+            ours = type(getattr(self.law, "_own", self.law)).__module__.startswith("airpuck.")
+            problem = f"are ignored by {self.law.title}; {_REMEDIES[ours]}"
             if any(limit.hard for limit in limits):
                 raise InputError(problem, field="limits")
-            warnings.warn(f"limits {problem}", stacklevel=2)
+            # At the line of the user; the constructor is called through its check of arguments.
+            warnings.warn(f"limits {problem}", stacklevel=2 if hasattr(self, "_limits") else 4)
         self._limits = limits
 
     def pose(self, time: float, pose: Numbers) -> None:
