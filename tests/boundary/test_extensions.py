@@ -220,8 +220,17 @@ def test_a_former_option_names_its_replacement():
     refused(commands.airpuck("excite", "--model", "paper:M3"), "--model", "use --truth")
     refused(commands.airpuck("design", "--check", "3"), "--check", "studies/next_flight.py")
     refused(commands.airpuck("record", "--mapping", "lab.toml"), "--mapping", "every topic")
+    refused(commands.airpuck("record", "--topics", "x"), "--topics", "every topic")
     refused(commands.airpuck("league", "--bags", "anna"), "--bags", "studies/ratings.py")
     refused(commands.airpuck("play-live", "--model", "m.toml"), "--model", "play-live m.toml")
+
+
+def test_a_former_option_in_a_file_of_settings_names_its_replacement(tmp_path):
+    (tmp_path / "f.toml").write_text('regulator = "mpc"\n')
+    refused(commands.airpuck("track", "--settings", tmp_path / "f.toml"), "f.toml", "written law")
+    (tmp_path / "f.toml").write_text('model = "paper:M3"\n')
+    for command, now in (("track", "the first argument"), ("excite", "written truth")):
+        refused(commands.airpuck(command, "--settings", tmp_path / "f.toml"), "f.toml", now)
 
 
 def test_a_former_argument_or_attribute_names_its_replacement():

@@ -292,6 +292,8 @@ def test_a_missing_file_and_invalid_toml_are_reported(tmp_path):
         ("[weights]\nyaw = 3.0", "weights", "[law.lqr.weights]"),
         ("[allocation]\nslack_weight = 1e5", "allocation", "[law.lqr]"),
         ('[regulator]\nkind = "mpc"', "regulator", "[law]"),
+        ("with_regulator = 1", "with_regulator", "is not a known key; "),
+        ('kind = "mpc"', "kind", "is not a known key; it is a key of another table"),
         ("[law]\nhorizon_s = 0.5", "law.horizon_s", "law.mpc.horizon_s"),
         ("[law]\niterations = 5", "law.iterations", "law.mpc.iterations"),
         ("[law]\nlimits.margin_m = 0.02", "law.limits", "is now written [law.mpc.limits]"),

@@ -109,7 +109,7 @@ class Section(pydantic.BaseModel):
     """Base of every table in our TOML files: immutable; an unknown key is an error."""
 
     model_config = pydantic.ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-    #: Former keys and attributes, and where each stands now.
+    #: Former keys and attributes, and where each stands now; methods have (), and are no keys.
     MOVED: ClassVar[Mapping[str, str]] = {}
     __repr__ = __str__ = brief
 
@@ -125,7 +125,7 @@ class Section(pydantic.BaseModel):
         __init__.__pydantic_base_init__ = True
 
         def __getattr__(self, name: str) -> Any:
-            if now := self.MOVED.get(name):
+            if now := self.MOVED.get(name) or self.MOVED.get(f"{name}()"):
                 raise AttributeError(f"{type(self).__name__}.{name} is now {now.strip('[]')}")
             return super().__getattr__(name)
 
@@ -240,6 +240,7 @@ def _explained(
         key = str(first["loc"][-1])
         near = get_close_matches(key, set().union(*known), 1)
         hint = f"did you mean {near[0]}?" if near else "check its spelling"
+        hint = "it is a key of another table" if near == [key] else hint
         now = getattr(schema, "MOVED", {}).get(key)
         problem = f"is now written {now}" if now else f"is not a known key; {hint}"
     elif first["type"] == "missing":

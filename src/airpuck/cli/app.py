@@ -115,6 +115,7 @@ _FORMER = {
     "excite --model": "use --truth",
     "design --check": "studies/next_flight.py tests its forecasts",
     "record --mapping": "leave it out: every topic is recorded",
+    "record --topics": "leave it out: every topic is recorded",
     "league --bags": "use python studies/ratings.py league.json --bags DIR",
 }
 

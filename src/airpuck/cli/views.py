@@ -86,6 +86,8 @@ def _read_settings(context: Any, _parameter: Any, path: Path | None) -> Path | N
         for name, one in options.items():
             fields[name] = (Annotated[one.kind, one.setting], pydantic.Field(None, alias=one.key))
         schema = pydantic.create_model("Options", __base__=Section, **fields)
+        model = "truth" if context.info_name == "excite" else "as the first argument"
+        schema.MOVED = {"regulator": "law", "model": model}
         context.default_map = read_toml(path, schema).model_dump(exclude_unset=True)
     return path
 

@@ -223,7 +223,7 @@ class Tuning(Section):
     """
 
     MOVED: ClassVar = {"weights": "[law.lqr.weights]", "allocation": "[law.lqr]"}
-    MOVED |= {"regulator": "[law]", "with_regulator": "with_law"}
+    MOVED |= {"regulator": "[law]", "with_regulator()": "with_law"}
     SHOWN: ClassVar[str] = "period_s law=law.kind settings=law.tables estimation modulation"
     period_s: Annotated[float, pydantic.Field(ge=1e-3, le=0.1)] = 0.01
     law: ChosenLaw
