@@ -282,7 +282,7 @@ def test_no_module_exceeds_500_lines():
 
 
 def test_class_names_are_unique():
-    """Also the name of a type alias, which has small letters, unlike a constant's."""
+    """Check type aliases, too; lower-case letters tell them from constants."""
     names = Counter(
         name
         for path in HOUSE
@@ -441,7 +441,7 @@ def test_the_code_does_not_grow():
 
 
 def test_modules_commands_and_tests_do_not_grow():
-    """Lower the limits when there are fewer; one that comes takes the place of another."""
+    """Lower the limits when the numbers fall; a new module or command must replace another."""
     assert len(HOUSE) <= MOST_MODULES
     assert len(known_commands()) <= MOST_COMMANDS
     lines = sum(len(path.read_text(encoding="utf-8").splitlines()) for path in ALL_TESTS)

@@ -69,7 +69,7 @@ def excite(
     vehicle: options.ReadVehicle = None,
     truth: Annotated[
         str | None,
-        Setting("The twin's true model; by default paper:M3, or nominal.", metavar="MODEL"),
+        Setting("True model; by default paper:M3, or --vehicle's nominal values.", None, "MODEL"),
     ] = None,
     twin: options.ReadTwin = None,
     tuning: options.TuningFile = None,

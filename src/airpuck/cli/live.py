@@ -416,6 +416,6 @@ def commission(
             found = airpuck.commission(link, craft, output, table=rails, seed=seed, **given)
     written = page(output, "commissioning_report.commissioning_report", found)
     # The last line is the first finding of a craft that is not trusted.
-    report(found.to_json(), *found.sentences[not found.trusted :], written)
+    report(found.to_json(), *found.sentences[0 if found.trusted else 1 :], written)
     if not found.trusted:
         raise InputError(f"not trusted: {found.findings[0].sentence.removesuffix('.')}")

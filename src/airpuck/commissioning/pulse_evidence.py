@@ -34,7 +34,7 @@ _INERTIA = (0.4, 2.5)
 #: Least thrust of a motor whose pulses tell none, relative to the median motor's.
 _LEAST = 0.1
 #: Accelerations per newton: forward, left, turn.
-Effectiveness = Float[np.ndarray, "3 n"]
+PulseEffects = Float[np.ndarray, "3 n"]
 
 
 def pulse_plan(vehicle: Vehicle, cameras: Cameras | None, stronger: float) -> PulsePlan:
@@ -139,7 +139,7 @@ class PulseEvidence:
         return self.lag + self.delay + 2 * math.sqrt(np.sum(self._weights * off**2))
 
     @cached_property
-    def effects(self) -> tuple[Effectiveness, Float[np.ndarray, " n"]]:
+    def effects(self) -> tuple[PulseEffects, Float[np.ndarray, " n"]]:
         """Effects of the motors, nan of those not tried, and their errors over the usual effect."""
         model, count = with_lag(self.model, self.lag), self.model.vehicle.n_propellers
         effects, errors = np.full((3, count), np.nan), np.full(count, np.nan)

@@ -13,7 +13,7 @@ from airpuck.boundary.errors import InputError
 from airpuck.boundary.numbers import percent
 from airpuck.boundary.results import Finding
 from airpuck.commissioning.pulse_evidence import (
-    Effectiveness,
+    PulseEffects,
     PulseEvidence,
     corrected,
     layout_findings,
@@ -259,7 +259,7 @@ def _unclear(evidence: PulseEvidence) -> tuple[Int[np.ndarray, " k"], Finding | 
     return unclear, Finding("table", cause, "", "Level the table, and start in the middle.")
 
 
-def _shares(model: Model, effects: Effectiveness) -> Float[np.ndarray, " n"]:
+def _shares(model: Model, effects: PulseEffects) -> Float[np.ndarray, " n"]:
     """Return the motors' effects relative to the usual one's; nan of those not tried.
 
     The larger of two ratios counts, to the median motor and to the vehicle file, so that a motor
@@ -275,7 +275,7 @@ def _stated(model: Model) -> Float[np.ndarray, " n"]:
     return np.linalg.norm(acceleration_map(np, model.dynamics, 0.0, 0.0)[0][:2], axis=0)
 
 
-def _silent(model: Model, effects: Effectiveness) -> Bool[np.ndarray, " n"]:
+def _silent(model: Model, effects: PulseEffects) -> Bool[np.ndarray, " n"]:
     """Return which motors were tried and gave nothing."""
     least = _MOVED * _stated(model).max()
     return (_shares(model, effects) < _DEAD) | (np.linalg.norm(effects[:2], axis=0) < least)

@@ -216,19 +216,19 @@ class ThrustAllocator:
         x : array, shape (n + 2,), or None
             Thrusts [N], within their bounds up to the solver's tolerance, and √μ(1 - s); None if
             the solver failed.
-        outcome : {"exact", "scaled", "nearest", "failed"}
+        status : {"exact", "scaled", "nearest", "failed"}
             Status of the request.
         """
         if not finite:
             return None, "failed"
-        outcome: AllocationStatus = "scaled"
+        status: AllocationStatus = "scaled"
         x = self._solver.constrained(a, lower, upper)
         if x is None:
-            outcome, u = "nearest", self._unscale
+            status, u = "nearest", self._unscale
             x = self._solver.nearest(a * u, upper[-3:], lower[:-3] / u, upper[:-3] / u)
             x = None if x is None else x * u
         if x is None or not all_finite(x):
             return None, "failed"
-        if outcome == "scaled" and 1 - max(x[self._n :].tolist()) / self._root > 1 - UNSCALED:
-            outcome = "exact"
-        return x, outcome
+        if status == "scaled" and 1 - max(x[self._n :].tolist()) / self._root > 1 - UNSCALED:
+            status = "exact"
+        return x, status
