@@ -72,6 +72,7 @@ def test_models_settings_and_controllers_have_short_representations():
 
 
 @pytest.mark.slow
+@pytest.mark.slow
 def test_results_of_a_flight_have_short_representations():
     fit, trajectory = fit_of_flown(0.007, 40.0), flown(0.007, 40.0).trajectory
     log = airpuck.track(MODEL, HERE, 2.0)

@@ -1,6 +1,6 @@
 """95 % bands of predictions, and the propagation of errors behind them."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -9,6 +9,8 @@ from airpuck.boundary.errors import InputError
 from airpuck.estimate.axis_filter import Noise
 from airpuck.evaluation.innovations import innovations
 from airpuck.evaluation.prediction_bands import BAND, predict_with_errors, prediction_bands
+from airpuck.model.rungs import named_rung
+from airpuck.physics.effects import Effect
 from airpuck.physics.motor import motor_step
 from airpuck.physics.rigid_body import rollout
 from airpuck.preprocessing.pipeline import preprocess
@@ -214,3 +216,24 @@ def test_windows_are_predicted_independently(flight, filtered):
     for single, pair in zip(alone, both, strict=True):
         assert single.shape[2] == 1
         np.testing.assert_allclose(single[:, :, 0], pair[:, :, 0], rtol=1e-12, atol=1e-15)
+
+
+@dataclass(frozen=True, eq=False)
+class Braked(Effect):
+    """Linear drag along the body."""
+
+    rate: float = 0.3
+
+    def acceleration(self, xp, motion):
+        return -self.rate * motion.forward, 0.0, 0.0
+
+
+def test_effects_of_the_users_own_count(flight, filtered):
+    rung, truth = named_rung("M3").with_effect(Braked), TRUTH.parameters
+    known = {quantity.name: getattr(truth, quantity.name) for quantity in truth.quantities}
+    parameters = replace(rung.initial(TRUTH.vehicle), **known)
+    model = replace(TRUTH, parameters=parameters, free=rung.mask(parameters))
+    nothing = np.zeros(len(model.free), dtype=bool)
+    predicted, _, _ = predict_with_errors(model, flight, filtered, STARTS, STEPS, nothing)
+    np.testing.assert_allclose(predicted, simulate(model, flight, filtered), atol=1e-9)
+    assert np.abs(predicted - predict(flight, filtered)[0]).max() > 1e-4

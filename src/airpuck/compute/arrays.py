@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import fields
 from threading import Lock
 from typing import Any
@@ -66,20 +66,13 @@ def _is_symbolic(value: Any) -> bool:
     return type(value).__module__.partition(".")[0] == "casadi"
 
 
-#: Annotations of fields that a fit does not differentiate by.
-_SETTINGS = {word for kind in (int, bool, str) for word in (kind, kind.__name__)}
 #: Fits run in parallel threads, and JAX rejects a second registration.
 _registered: set[Any] = set()
 _registering = Lock()
 
 
-def differentiable(kind: Any) -> list[str]:
-    """Return a dataclass's fields but those for whole numbers, flags and texts: its settings."""
-    return [one.name for one in fields(kind) if one.type not in _SETTINGS]
-
-
-def register_pytree(kind: Any, static: str = "") -> None:
-    """Let JAX see the arrays inside a dataclass; settings and the field `static` contain none.
+def register_pytree(kind: Any, static: Sequence[str] = ()) -> None:
+    """Let JAX see the arrays inside a dataclass; the fields in `static` contain none.
 
     JAX treats another class as a constant.
     """
@@ -92,9 +85,8 @@ def register_pytree(kind: Any, static: str = "") -> None:
         if not hasattr(kind, "__dataclass_fields__"):
             register_static(kind)
             return
-        names = [name for name in differentiable(kind) if name != static]
-        fixed = [entry.name for entry in fields(kind) if entry.name not in names]
-        register_dataclass(kind, names, fixed)
+        names = [entry.name for entry in fields(kind) if entry.init and entry.name not in static]
+        register_dataclass(kind, names, list(static))
 
 
 def linear_map(matrix: Any, vector: Any) -> Any:

@@ -233,6 +233,7 @@ def predict_with_errors(
     mean = filtered.mean[starts]
     densities = np.square([filtered.noise.acceleration, filtered.noise.disturbance])
     estimate = model.parameters
+    register_pytree(type(estimate))  # effects of the user's own make it another class
     found = _compiled()(
         model.vehicle,
         model.frame,
@@ -262,8 +263,6 @@ def _growth(commands: Float[np.ndarray, "N S n"]) -> Float[np.ndarray, "N S"]:
 def _compiled() -> Any:
     """Compile predictions of windows; models of one craft and structure share the program."""
     import jax
-
-    register_pytree(Parameters)
 
     def windows(vehicle: Vehicle, frame: CenterOfMassFrame, known: Any, *each: Any) -> Any:
         return jax.vmap(_one_prediction(vehicle, frame, *known))(*each)

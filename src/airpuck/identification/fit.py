@@ -59,6 +59,8 @@ from airpuck.model.uncertainty import Uncertainty
 from airpuck.preprocessing.delay import visible_delay
 from airpuck.preprocessing.derivative import is_slow
 
+#: Initial damping of a fit with new terms, of which full steps would go too far.
+_CAREFUL = 0.1
 #: Step of a difference quotient by a wheel's lag, in its standard errors.
 _LAG_STEP = 0.1
 
@@ -80,7 +82,8 @@ def solved(
     """Find the optimum of a model, without the uncertainty of its parameters.
 
     A model with more terms than another starts from the other's solution: with its parameters, the
-    faults it found and the arrival times of its packets. A start with the faults can end far away.
+    faults it found and the arrival times of its packets. A fit that begins with the faulty windows
+    can end far from the optimum.
     """
     problem = Problem.of(trajectories, model, **given)
     try:
@@ -194,11 +197,13 @@ class Solution:
         start, (_, outcome, _) = problem.start, self.result
         known = {q.name: getattr(outcome.parameters, q.name) for q in outcome.parameters.quantities}
         known["thrust"] = change_degree(known["thrust"], np.shape(start.thrust)[1])
-        # So that one step can make it as long as nominal again.
+        # One step changes the lag by at most this factor, and must be able to reach the nominal.
         least = start.motor_time_constant / MOST_LAG
         known["motor_time_constant"] = max(known["motor_time_constant"], least)
         problem = replace(problem, loss=self.problem.loss, initial=replace(start, **known))
-        return replace(self, problem=problem, fitted=None).prefit()
+        begun = replace(self, problem=problem, fitted=None)
+        begun = begun.fit(LevenbergMarquardt(damping=_CAREFUL), begun.loss.thinned)
+        return replace(begun, retimed=None)
 
     def prefit(self) -> Solution:
         """Fit to a part of the windows, enough to prepare the data with."""
@@ -218,8 +223,7 @@ def leave_out_faults(solution: Solution) -> Solution:
     length = loss.windows.encoder_length + loss.windows.prediction_length
     _, _, stride = solution.problem.loss.samples(solution.trajectories)
     exclusion = exclude_faults(solution.problem.trajectories, model, length, stride)
-    found = exclusion.trajectories
-    return replace(solution, exclusion=exclusion, trajectories=found, retimed=None)
+    return replace(solution, exclusion=exclusion, trajectories=exclusion.trajectories)
 
 
 def retime(solution: Solution) -> Solution:
@@ -228,15 +232,16 @@ def retime(solution: Solution) -> Solution:
     Long smoothing spreads every switch of an actuator, which looks like a lag. So the poses of a
     slow craft are smoothed along the nominal model before the first fit.
     """
-    problem, begun = solution.problem, bool(solution.packets)
-    if problem.retimings and not begun and any(map(is_slow, solution.trajectories)):
+    problem = solution.problem
+    if problem.retimings and any(map(is_slow, solution.trajectories)):
         nominal = problem.model(problem.start)
         along = tuple(smoothed_along(one, nominal) for one in solution.trajectories)
         solution = replace(solution, retimed=along)
     for _ in range(problem.retimings):
-        # A search for faults that found none was a fit to the same windows; one that began with
-        # another fit's packets was a fit to better ones.
-        if solution.retimed or not (begun or (solution.exclusion and not solution.exclusion.share)):
+        # A search for faults that found none was a fit to the same windows, unless it began with
+        # the arrival times of a fit without some terms.
+        known = solution.packets or solution.retimed
+        if known or solution.exclusion is None or solution.exclusion.share:
             solution = solution.prefit()
         solution = hold_lag(solution)
         _, _, model = solution.result

@@ -18,7 +18,6 @@ import numpy as np
 
 from airpuck.boundary.errors import InputError, unknown
 from airpuck.boundary.files import NonNegative, Positive
-from airpuck.compute.arrays import differentiable
 from airpuck.physics.effects import (
     HIDDEN,
     Dish,
@@ -31,6 +30,7 @@ from airpuck.physics.effects import (
     Residual,
     Tilt,
     VoltageSag,
+    coefficients_of,
 )
 from airpuck.physics.hull import Hull
 
@@ -202,10 +202,8 @@ def quantity_of(
     name = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", effect.__name__).lower()
     if keyword.iskeyword(name) or name in {quantity.name for quantity in QUANTITIES}:
         raise refuse("has the name of a built-in quantity, or a keyword; rename the class")
-    defaults = ((name, getattr(effect, name, None)) for name in differentiable(effect))
-    found = {name: start for name, start in defaults if isinstance(start, int | float)}
-    if not found:
-        raise refuse("has no coefficients: no field has a number as default")
+    if not (found := coefficients_of(effect)):
+        raise refuse("has no coefficients: annotate a field as float, with a number as default")
     limits = dict.fromkeys(found, (-np.inf, np.inf)) | dict(effect.bounds) | dict(bounds or {})
     values = found | dict(start or {})
     for key in [*values, *limits]:

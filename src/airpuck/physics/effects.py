@@ -10,12 +10,12 @@ bounds its contribution; without these bounds a plan has no lower bound on its t
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import MISSING, dataclass, fields, is_dataclass
 from typing import Any, ClassVar
 
 import numpy as np
 
-from airpuck.compute.arrays import differentiable, linear_map
+from airpuck.compute.arrays import linear_map
 from airpuck.craft.vehicle import GRAVITY, Vehicle
 
 
@@ -63,6 +63,23 @@ class Envelope:
     spin: float
 
 
+def coefficients_of(effect: Any) -> dict[str, float]:
+    """Return the coefficients of a class of effects, with their defaults."""
+    return {
+        one.name: one.default
+        for one in fields(effect)
+        if one.init
+        and isinstance(one.default, float if one.type not in (float, "float") else float | int)
+    }
+
+
+def settings_of(effect: Any) -> list[str]:
+    """Return the names of its other fields with a default; none if it is no dataclass."""
+    each = [one for one in (fields(effect) if is_dataclass(effect) else ()) if one.init]
+    given = [one.name for one in each if one.default is not MISSING]
+    return [name for name in given if name not in coefficients_of(effect)]
+
+
 def _unknown(*_: Any) -> None:
     """Return None: no bound is known."""
 
@@ -70,15 +87,15 @@ def _unknown(*_: Any) -> None:
 class Effect:
     """Base of all effects: changes nothing.
 
-    Fields of a subclass that have a number as default are its coefficients; a fit starts there.
-    Whole numbers (`int`), flags and texts are settings, which a fit leaves as they are. All
+    Fields of a subclass that are `float` and have a default are its coefficients; a fit starts
+    there. Other fields with a default are settings, which a fit leaves as they are. All
     arithmetic uses the array namespace `xp`, since fits differentiate it. A subclass that overrides
     `thrust` also implements `thrust_bounds`; a subclass that overrides `acceleration` implements
     `acceleration_bound`. If it does not, or if either returns None, no bound is known.
 
     Examples
     --------
-    >>> from dataclasses import dataclass
+    >>> from dataclasses import MISSING, dataclass, fields, is_dataclass
     >>> @dataclass(frozen=True, eq=False)
     ... class SpinDrag(airpuck.Effect):
     ...     '''Linear drag of the spin.'''
@@ -113,7 +130,7 @@ class Effect:
         Effect
             With these coefficients.
         """
-        return cls(**dict(zip(differentiable(cls), value, strict=False)))
+        return cls(**dict(zip(coefficients_of(cls), value, strict=True)))
 
     @property
     def idle_lag(self) -> Any:

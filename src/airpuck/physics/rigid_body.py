@@ -19,7 +19,7 @@ from jaxtyping import Float
 from airpuck.boundary.results import Brief
 from airpuck.compute.arrays import linear_map, register_pytree, scan
 from airpuck.compute.rotation import cos_sin
-from airpuck.physics.effects import BodyMotion, Effect
+from airpuck.physics.effects import BodyMotion, Effect, settings_of
 from airpuck.physics.motor import all_lags, lag_at, lag_like, lags, motor_step
 from airpuck.physics.thrust import thrust
 
@@ -105,10 +105,10 @@ class Dynamics(Brief):
 
 def register_pytrees() -> None:
     """Let JAX see the arrays inside `Dynamics` and all effects, also those defined since."""
-    register_pytree(Dynamics, static="frame")
+    register_pytree(Dynamics, static=("frame",))
     kinds = Effect.__subclasses__()
     for kind in kinds:
-        register_pytree(kind)
+        register_pytree(kind, static=settings_of(kind))
         kinds += kind.__subclasses__()
 
 
