@@ -59,7 +59,7 @@ def fits(value: Any, hint: Any) -> bool:
             return False
         if origin in (Sequence, tuple):
             return _elements_fit(value, inner)
-        return origin is not type or not inner or issubclass(value, inner)
+        return origin is not type or not inner or issubclass(value, inner)  # pyright: ignore
     if origin is Any or not isinstance(origin, type) or hasattr(origin, "array_type"):
         return True  # an array is converted, and its shape checked
     if getattr(origin, "_is_protocol", False) and not getattr(origin, "_is_runtime_protocol", 0):

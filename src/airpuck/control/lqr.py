@@ -195,8 +195,7 @@ class LQR(Law):
     >>> controller = airpuck.TrackingController(model, airpuck.SetPoint(0.1, 0.0, 0.0), law=law)
     """
 
-    SHOWN = "title gain"
-    Settings = LQRSettings
+    SHOWN, Settings = "title gain", LQRSettings
     title, c_modules = "a linear regulator", ()
     looks_ahead = False
 

@@ -80,8 +80,7 @@ class MPC(Law):
     >>> controller = airpuck.TrackingController(model, airpuck.SetPoint(0.1, 0.0, 0.0), law=law)
     """
 
-    SHOWN = "title times_s=_times fence"
-    Settings = PredictiveSettings
+    SHOWN, Settings = "title times_s=_times fence", PredictiveSettings
     title, c_modules = "predictive control", ("mpc", "qp", "slopes")
     obeys_limits = True
 
