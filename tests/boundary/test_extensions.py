@@ -214,7 +214,7 @@ def test_a_former_name_names_its_replacement(former, now):
         exec(f"from airpuck import {former}")
 
 
-def test_a_former_option_names_its_replacement():
+def test_a_former_option_names_its_replacement(tmp_path):
     refused(commands.airpuck("identify", "bag", "--adam", "7"), "--adam", "studies/adam.py")
     refused(commands.airpuck("track", "--regulator", "mpc"), "--regulator", "use --law")
     refused(commands.airpuck("excite", "--model", "paper:M3"), "--model", "use --truth")
@@ -223,14 +223,10 @@ def test_a_former_option_names_its_replacement():
     refused(commands.airpuck("record", "--topics", "x"), "--topics", "every topic")
     refused(commands.airpuck("league", "--bags", "anna"), "--bags", "studies/ratings.py")
     refused(commands.airpuck("play-live", "--model", "m.toml"), "--model", "play-live m.toml")
-
-
-def test_a_former_option_in_a_file_of_settings_names_its_replacement(tmp_path):
-    (tmp_path / "f.toml").write_text('regulator = "mpc"\n')
-    refused(commands.airpuck("track", "--settings", tmp_path / "f.toml"), "f.toml", "written law")
-    (tmp_path / "f.toml").write_text('model = "paper:M3"\n')
-    for command, now in (("track", "the first argument"), ("excite", "written truth")):
-        refused(commands.airpuck(command, "--settings", tmp_path / "f.toml"), "f.toml", now)
+    file = tmp_path / "f.toml"
+    for command, key, now in (("track", "regulator", "law"), ("excite", "model", "truth")):
+        file.write_text(f'{key} = "mpc"\n')
+        refused(commands.airpuck(command, "--settings", file), key, f"written {now}")
 
 
 def test_a_former_argument_or_attribute_names_its_replacement():

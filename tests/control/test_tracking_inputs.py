@@ -1,5 +1,6 @@
 """The tracking controller with all kinds of wrong input."""
 
+import re
 import subprocess
 import sys
 import warnings
@@ -316,28 +317,20 @@ class Walled(Law):
 
 
 def test_a_warning_about_limits_names_the_line_of_the_user(tmp_path):
-    script = tmp_path / "flight.py"
-    script.write_text(
+    (tmp_path / "own.py").write_text(
         "import airpuck\nkeep = [airpuck.KeepOut(0.3, 0.0, 0.1)]\n"
         "craft, here = airpuck.read_model('paper:M3'), airpuck.SetPoint(0.0, 0.0, 0.0)\n"
-        "ours = airpuck.TrackingController(craft, here, limits=keep, compiled=False)\n"
-        "ours.limits = keep\n"
+        "ours = airpuck.TrackingController(craft, here, limits=keep)\nours.limits = keep\n"
     )
-    told = subprocess.run([sys.executable, script], capture_output=True, text=True, check=True)
-    lines = [line for line in told.stderr.splitlines() if "UserWarning" in line]
-    assert [line.split(": UserWarning")[0] for line in lines] == [f"{script}:4", f"{script}:5"]
-
-
-class Deaf(Law):
-    """A law of a user that does not know limits."""
+    told = subprocess.run([sys.executable, tmp_path / "own.py"], capture_output=True, text=True)
+    assert re.findall(r"own.py:(\d): UserWarning", told.stderr) == ["4", "5"]
 
 
 def test_a_law_without_limits_rejects_hard_ones_and_warns_about_soft_ones(tmp_path):
     hard, soft = Fence(-0.5, -0.3, 0.5, 0.3, hard=True), KeepOut(0.3, 0.0, 0.1)
     (tmp_path / "deaf.py").write_text("import airpuck\nclass Deaf(airpuck.Law): ...\n")
-    own = r"if the law keeps them, set `obeys_limits = True` in its class$"
-    for law in ("lqr", "plan", LQR, Deaf, f"{tmp_path}/deaf.py:Deaf"):
-        remedy = 'use law="mpc"$' if law in ("lqr", "plan", LQR) else own
+    for law in ("lqr", "plan", LQR, type("Deaf", (Law,), {}), f"{tmp_path}/deaf.py:Deaf"):
+        remedy = 'use law="mpc"$' if law in ("lqr", "plan", LQR) else "if .* `obeys_limits = True`"
         refused = f"^limits: are ignored by [a-z ]+; {remedy}"
         with pytest.raises(InputError, match=refused):
             controller(law=law, limits=[soft, hard])
