@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import fields
+from dataclasses import MISSING, fields, is_dataclass
 from threading import Lock
 from typing import Any
 
@@ -69,6 +69,23 @@ def _is_symbolic(value: Any) -> bool:
 #: Fits run in parallel threads, and JAX rejects a second registration.
 _registered: set[Any] = set()
 _registering = Lock()
+
+
+def coefficients_of(kind: Any) -> dict[str, float]:
+    """Return the float fields of a dataclass that have a default: what a fit may learn."""
+    return {
+        one.name: one.default
+        for one in fields(kind)
+        if one.init
+        and isinstance(one.default, float if one.type not in (float, "float") else float | int)
+    }
+
+
+def settings_of(kind: Any) -> list[str]:
+    """Return the names of the other fields of a class that have a default."""
+    each = [one for one in (fields(kind) if is_dataclass(kind) else ()) if one.init]
+    given = [one.name for one in each if one.default is not MISSING]
+    return [name for name in given if name not in coefficients_of(kind)]
 
 
 def register_pytree(kind: Any, static: Sequence[str] = ()) -> None:

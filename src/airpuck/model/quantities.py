@@ -18,6 +18,7 @@ import numpy as np
 
 from airpuck.boundary.errors import InputError, unknown
 from airpuck.boundary.files import NonNegative, Positive
+from airpuck.compute.arrays import coefficients_of
 from airpuck.physics.effects import (
     HIDDEN,
     Dish,
@@ -30,7 +31,6 @@ from airpuck.physics.effects import (
     Residual,
     Tilt,
     VoltageSag,
-    coefficients_of,
 )
 from airpuck.physics.hull import Hull
 

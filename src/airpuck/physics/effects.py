@@ -10,12 +10,12 @@ bounds its contribution; without these bounds a plan has no lower bound on its t
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import MISSING, dataclass, fields, is_dataclass
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
 
-from airpuck.compute.arrays import linear_map
+from airpuck.compute.arrays import coefficients_of, linear_map
 from airpuck.craft.vehicle import GRAVITY, Vehicle
 
 
@@ -63,23 +63,6 @@ class Envelope:
     spin: float
 
 
-def coefficients_of(effect: Any) -> dict[str, float]:
-    """Return the coefficients of a class of effects, with their defaults."""
-    return {
-        one.name: one.default
-        for one in fields(effect)
-        if one.init
-        and isinstance(one.default, float if one.type not in (float, "float") else float | int)
-    }
-
-
-def settings_of(effect: Any) -> list[str]:
-    """Return the names of its other fields with a default; none if it is no dataclass."""
-    each = [one for one in (fields(effect) if is_dataclass(effect) else ()) if one.init]
-    given = [one.name for one in each if one.default is not MISSING]
-    return [name for name in given if name not in coefficients_of(effect)]
-
-
 def _unknown(*_: Any) -> None:
     """Return None: no bound is known."""
 
@@ -95,7 +78,7 @@ class Effect:
 
     Examples
     --------
-    >>> from dataclasses import MISSING, dataclass, fields, is_dataclass
+    >>> from dataclasses import dataclass
     >>> @dataclass(frozen=True, eq=False)
     ... class SpinDrag(airpuck.Effect):
     ...     '''Linear drag of the spin.'''

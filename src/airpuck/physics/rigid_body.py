@@ -17,9 +17,9 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.boundary.results import Brief
-from airpuck.compute.arrays import linear_map, register_pytree, scan
+from airpuck.compute.arrays import linear_map, register_pytree, scan, settings_of
 from airpuck.compute.rotation import cos_sin
-from airpuck.physics.effects import BodyMotion, Effect, settings_of
+from airpuck.physics.effects import BodyMotion, Effect
 from airpuck.physics.motor import all_lags, lag_at, lag_like, lags, motor_step
 from airpuck.physics.thrust import thrust
 
