@@ -23,6 +23,7 @@ import statistics
 import sys
 import tempfile
 from collections.abc import Callable, Sequence
+from functools import cache, partial
 from pathlib import Path
 
 from airpuck import InputError
@@ -104,16 +105,21 @@ def whole_processes(table: Table, folder: Path) -> None:
     """Commands, from start to end."""
     data = dataset_folder() / TRAINING
     bag, model = folder / "bag", folder / "m.toml"
-    identify = (*AIRPUCK, "identify", data, "-o", model, "-q")
+    automatic = (*AIRPUCK, "identify", data, "-o", model, "-q")
+    identify = (*automatic, "--model", "M3")
     warm = STORED | {"JAX_COMPILATION_CACHE_DIR": str(folder / "compiled")}
 
     def timed(*command: object, cold: bool = False) -> Callable[[], float]:
         return lambda: run(command, COLD if cold else None).wall_s
 
-    def compiled_before() -> float:
-        if not (folder / "compiled").exists():
-            run(identify, warm)
-        return run(identify, warm).wall_s
+    def compiled_before(*command: object) -> Callable[[], float]:
+        compile_once = cache(partial(run, command, warm))
+
+        def again() -> float:
+            compile_once()
+            return run(command, warm).wall_s
+
+        return again
 
     def preprocess() -> float:
         if not bag.exists():
@@ -124,7 +130,9 @@ def whole_processes(table: Table, folder: Path) -> None:
     table.add("import airpuck", "s", timed(*python, "import airpuck"), target="≤ 0.3")
     table.add("airpuck --help", "s", timed(*AIRPUCK, "--help"), target="≤ 0.5")
     table.add("identify M3", "s", timed(*identify, cold=True), target="≤ 5, aim 2.5")
-    table.add("identify M3, compiled before", "s", compiled_before, target="aim 2")
+    table.add("identify M3, compiled before", "s", compiled_before(*identify), target="aim 2")
+    table.add("identify, any terms", "s", timed(*automatic, cold=True))
+    table.add("identify, any terms, compiled before", "s", compiled_before(*automatic))
     table.add(
         "M0 to M4, fitted and judged", "s", timed(*python, STUDY, cold=True), target="≤ 12, aim 6"
     )
