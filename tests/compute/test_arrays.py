@@ -69,5 +69,5 @@ def test_concurrent_threads_register_a_dataclass_once(monkeypatch):
 
     monkeypatch.setattr("jax.tree_util.register_dataclass", slowly)
     with ThreadPoolExecutor(8) as pool:
-        list(pool.map(lambda _: register_pytree(Pair, static=("frame",)), range(8)))
+        list(pool.map(lambda _: register_pytree(Pair, static=lambda _: ("frame",)), range(8)))
     assert registered == [(Pair, ["one"], ["frame"])]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import MISSING, fields, is_dataclass
+from dataclasses import MISSING, fields
 from threading import Lock
 from typing import Any
 
@@ -82,14 +82,13 @@ def coefficients_of(kind: Any) -> dict[str, float]:
 
 
 def settings_of(kind: Any) -> list[str]:
-    """Return the names of the other fields of a class that have a default."""
-    each = [one for one in (fields(kind) if is_dataclass(kind) else ()) if one.init]
-    given = [one.name for one in each if one.default is not MISSING]
-    return [name for name in given if name not in coefficients_of(kind)]
+    """Return the names of the other fields of a dataclass that have a default."""
+    given = {one.name for one in fields(kind) if one.init and one.default is not MISSING}
+    return [*(given - coefficients_of(kind).keys())]
 
 
-def register_pytree(kind: Any, static: Sequence[str] = ()) -> None:
-    """Let JAX see the arrays inside a dataclass; the fields in `static` contain none.
+def register_pytree(kind: Any, static: Callable[[Any], Sequence[str]] = lambda _: ()) -> None:
+    """Let JAX see the arrays inside a dataclass; the fields that `static` names contain none.
 
     JAX treats another class as a constant.
     """
@@ -102,8 +101,9 @@ def register_pytree(kind: Any, static: Sequence[str] = ()) -> None:
         if not hasattr(kind, "__dataclass_fields__"):
             register_static(kind)
             return
-        names = [entry.name for entry in fields(kind) if entry.init and entry.name not in static]
-        register_dataclass(kind, names, list(static))
+        fixed = list(static(kind))
+        names = [entry.name for entry in fields(kind) if entry.init and entry.name not in fixed]
+        register_dataclass(kind, names, fixed)
 
 
 def linear_map(matrix: Any, vector: Any) -> Any:

@@ -408,8 +408,7 @@ class PredictionLoss:
         _, _, *effects = _parts(within or parameters, self.vehicle)
         # Without effects nothing depends on the velocity, and few effects depend on the position.
         # With all missing terms, models with and without effects share a program.
-        moves = effects or within
-        felt = 6 if any(effect.of_place for effect in effects) else 4 if moves else 1
+        felt = 6 if any(effect.of_place for effect in effects) else 4 if effects or within else 1
         static = {"encoder": self.encoder, "lengths": lengths, "frame": self.frame, "felt": felt}
         normal_equations = partial(compiled_normal_equations(within is not None), **static)
         batches, owner = self._batches()

@@ -105,10 +105,10 @@ class Dynamics(Brief):
 
 def register_pytrees() -> None:
     """Let JAX see the arrays inside `Dynamics` and all effects, also those defined since."""
-    register_pytree(Dynamics, static=("frame",))
+    register_pytree(Dynamics, static=lambda _: ("frame",))
     kinds = Effect.__subclasses__()
     for kind in kinds:
-        register_pytree(kind, static=settings_of(kind))
+        register_pytree(kind, static=settings_of)
         kinds += kind.__subclasses__()
 
 
