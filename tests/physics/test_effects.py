@@ -15,13 +15,14 @@ from airpuck.physics.effects import (
     BodyMotion,
     Drag,
     Effect,
+    Friction,
     Inflow,
     Layout,
     PairInteraction,
     Tilt,
     VoltageSag,
 )
-from airpuck.physics.rigid_body import acceleration
+from airpuck.physics.rigid_body import acceleration, register_pytrees
 from airpuck.physics.thrust import thrust
 
 VEHICLE = default_vehicle()
@@ -236,3 +237,8 @@ def test_jax_agrees_and_has_finite_derivatives_even_at_rest(motion):
     for i, unit in enumerate(np.eye(4)):
         ends = [accelerate(ALL, motion + s * unit, speed) for s in (-step, step)]
         np.testing.assert_allclose(slope[:, i], (ends[1] - ends[0]) / (2 * step), atol=1e-5)
+
+
+def test_jax_tells_effects_with_as_many_coefficients_apart():
+    register_pytrees()
+    assert jax.tree.structure(Tilt()) != jax.tree.structure(Friction())

@@ -156,8 +156,9 @@ def race(
 
 def _race_table(found: Race) -> Table:
     """Tabulate planned and flown times."""
+    least = found.plan.lower_bound
     rows = [
-        ("no control takes less than", _known(found.plan.lower_bound), ""),
+        ("no control takes less than", "–" if least is None else f"{least:.3f}", ""),
         ("planned", f"{found.plan.duration:.3f}", ""),
     ]
     for name, times in (("flown", found.flown), ("as a set point", found.set_point or ())):
@@ -187,10 +188,6 @@ def _goal(
     x, y, yaw = pose
     rates = None if free in ("velocity", "both") else velocity
     return airpuck.Goal(x, y, None if free in ("yaw", "both") else yaw, rates, turn)
-
-
-def _known(bound: float | None) -> str:
-    return "–" if bound is None else f"{bound:.3f}"
 
 
 def _sentence(found: Plan) -> str:

@@ -90,9 +90,10 @@ def settings_of(kind: Any) -> list[str]:
 def register_pytree(kind: Any, static: Callable[[Any], Sequence[str]] = lambda _: ()) -> None:
     """Let JAX see the arrays inside a dataclass; the fields that `static` names contain none.
 
-    JAX treats another class as a constant.
+    JAX treats another class as a constant. Not `register_dataclass`: in jaxlib 0.10.2, trees of two
+    such classes with as many fields are equal, so that one's program could run for the other.
     """
-    from jax.tree_util import register_dataclass, register_static
+    from jax.tree_util import register_pytree_node, register_static
 
     with _registering:
         if kind in _registered:
@@ -103,7 +104,15 @@ def register_pytree(kind: Any, static: Callable[[Any], Sequence[str]] = lambda _
             return
         fixed = list(static(kind))
         names = [entry.name for entry in fields(kind) if entry.init and entry.name not in fixed]
-        register_dataclass(kind, names, fixed)
+
+        def values_of(one: Any, names: list[str]) -> tuple[Any, ...]:
+            return tuple(getattr(one, name) for name in names)
+
+        register_pytree_node(
+            kind,
+            lambda one: (values_of(one, names), values_of(one, fixed)),
+            lambda rest, values: kind(**dict(zip(names + fixed, (*values, *rest), strict=True))),
+        )
 
 
 def linear_map(matrix: Any, vector: Any) -> Any:

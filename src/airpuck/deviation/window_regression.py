@@ -288,7 +288,8 @@ def _floor(
     # Without drag a slope is known better, unless drag explains it as well.
     (tilt, error), steep = floor["tilt"], tested("tilt").slope
     floor |= {"tilt": (steep, error + np.abs(steep - tilt))}
-    return {name: (*one, _size(columns[name] @ one[0], count)) for name, one in floor.items()}
+    size = {name: float(np.linalg.norm(columns[name] @ one[0])) for name, one in floor.items()}
+    return {name: (*one, size[name] / count**0.5) for name, one in floor.items()}
 
 
 def _other_columns(
@@ -311,11 +312,6 @@ def _other_columns(
         "dish": GRAVITY * np.hstack([[x, none, y], [none, y, x]]).T,
         "friction": -np.einsum("mwi,w->im", direction, weight).reshape(-1, 1),
     }
-
-
-def _size(pulls: Float[np.ndarray, " M2"], count: int) -> float:
-    """Return the root mean square of accelerations in the plane."""
-    return float(np.sqrt(np.sum(pulls**2) / count))
 
 
 def _curvatures(

@@ -217,8 +217,8 @@ class CourseTask:
         self.limit = limit_s
         self._fixed = None if course is None else chosen(course, COURSES, "course")
         self._radius, self._table = model.vehicle.radius_m, settings.table
-        self._reach = [side - _MARGIN for side in self._table.reach(self._radius)]
-        if min(self._reach) <= 0:
+        self._spread = np.append(np.array(self._table.reach(self._radius)) - _MARGIN, math.pi)
+        if min(self._spread) <= 0:
             raise InputError("is too small for the craft to move", field="table")
         count = len(self._fixed[2]) if self._fixed else 0
         self.points, self.goal = np.zeros((size, count + 1, 2)), np.zeros((size, 3))
@@ -230,7 +230,7 @@ class CourseTask:
         self, row: int, rng: np.random.Generator, given: Mapping[str, np.ndarray]
     ) -> tuple[Float[np.ndarray, " 3"], int]:
         """Begin an episode of one craft; return its start, and the twin's seed."""
-        start, goal, via = self._fixed or (*(self._pose(rng) for _ in range(2)), ())
+        start, goal, via = self._fixed or (*rng.uniform(-1, 1, (2, 3)) * self._spread, ())
         start = np.array(given["start"][row] if "start" in given else start)
         goal = np.array(given["goal"][row] if "goal" in given else goal)
         for name, pose in (("start", start), ("goal", goal)):
@@ -269,9 +269,6 @@ class CourseTask:
     def following(self) -> Float[np.ndarray, "B 2"]:
         """The next points, finally the goals."""
         return self.points[self._rows, self._passed]
-
-    def _pose(self, rng: np.random.Generator) -> Float[np.ndarray, " 3"]:
-        return rng.uniform(-1, 1, 3) * [*self._reach, math.pi]
 
     def _remaining(self, pose: Float[np.ndarray, "B 3"]) -> Float[np.ndarray, " B"]:
         away = np.hypot(*(pose[:, :2] - self.following).T) + self._after[self._rows, self._passed]

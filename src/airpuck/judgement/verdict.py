@@ -392,18 +392,13 @@ def _size(model: Model, quantity: MainQuantity) -> float:
     centre of mass the lever arm of the propellers, for a weak or dead motor half the usual thrust.
     """
     if quantity.parameter == "thrust":
-        usual = np.median([abs(float(q.value(model))) for q in _thrusts(model)])
-        return max(abs(float(quantity.value(model))), float(usual) / 2)
+        thrusts = [q.value(model) for q in main_quantities(model) if q.parameter == "thrust"]
+        return max(abs(float(quantity.value(model))), float(np.median(np.abs(thrusts))) / 2)
     if quantity.parameter == "angle_offset":
         return quantity.factor * _WHOLE_ANGLE
     if quantity.parameter == "center_of_mass":
         return quantity.factor * float(np.hypot(*model.vehicle.positions.T).mean())
     return abs(float(quantity.value(model))) if quantity.positive else 0.0
-
-
-def _thrusts(model: Model) -> list[MainQuantity]:
-    """Return the motors' thrusts at full command."""
-    return [quantity for quantity in main_quantities(model) if quantity.parameter == "thrust"]
 
 
 def _with_error(value: float, error: float) -> str:
