@@ -28,8 +28,12 @@ _SEARCHES, _REFINEMENTS = 14, 4
 #: Fractions of the duration at which the control of least energy refutes durations that are far too
 #: short. If the craft moves at both ends, a weight made for a long flight refutes few of them.
 _LEADS = (0.4, 0.6, 0.8)
-#: The search ends when the bound improves by less than this fraction.
+#: The coarse search ends when the bound improves by less than this fraction.
 _IMPROVED = 5e-4
+#: The fine search ends when the bound lies so near to where a program would stop refuting.
+_NEAR_END = 1e-3
+#: Fine grids refute a longer duration than coarse ones, by about this factor (1.02 to 1.05).
+_FINER = 1.03
 #: The last fine program begins this fraction below the bound that the previous one promised.
 _BELOW = 3e-4
 #: Number of steps beyond its last time for which a program may extrapolate.
@@ -97,15 +101,14 @@ def _refuted(request: Request, weight: Weight, duration: float) -> float:
             top = (1 - _IMPROVED) * gap
         else:
             own = gap
-    own = top
+    own = _FINER * top if found.waits else top
     for number in range(_REFINEMENTS if top else 0):
-        before = found.bound
         # For craft that can wait, the last end of a step refutes; it should lie at the bound. For
-        # other craft the ends of steps should differ between programs.
+        # other craft the ends of steps should differ between the two programs.
         far = 1.0 if found.waits else _BEYOND + number / (2 * _FINE.steps)
         root = found.refute(own, far * own, _FINE)
-        done = root if found.waits else (1 + _IMPROVED) * before
-        if found.bound and found.bound >= (1 - _IMPROVED) * done and (number or found.waits):
+        done = found.bound >= (1 - _NEAR_END) * root if found.waits else number == 1
+        if found.bound and done:
             break
         own = (1 - _BELOW) * (root or own)
     return found.bound
@@ -146,7 +149,9 @@ class _Durations:
         coasts = _COASTS[:1] if self.waits else _COASTS
         weight = weight or self._weight.compressed(own / self._duration)
         coasts = coasts * horizon / fineness.steps
-        program = YawProgram(self._request, weight, horizon, fineness, coasts)
+        # Where the program stops refuting is read off from a few ends before that.
+        since = self._last - _GUESSED * horizon / fineness.steps if self.waits else 0.0
+        program = YawProgram(self._request, weight, horizon, fineness, coasts, since)
         needed = _needed(self._request, program, coasts)
         ends = program.step * np.arange(1, fineness.steps + 1)
         if self.waits:

@@ -121,8 +121,8 @@ class YawProgram:
     worth : float
         The strongest push times ∫ |w|: the bound of a craft that need not turn.
     most : array, shape (steps, T)
-        The bound at the end of each step, for flights that have coasted for each of the coasting
-        times.
+        The bound at the end of each step later than `since`, for flights that have coasted for
+        each of the coasting times.
     """
 
     def __init__(
@@ -132,6 +132,7 @@ class YawProgram:
         horizon: float,
         fineness: Fineness,
         coasts: Float[np.ndarray, " T"],
+        since: float = 0.0,
     ) -> None:
         self._request, self._model = request, request.model
         self.step = horizon / fineness.steps
@@ -151,7 +152,7 @@ class YawProgram:
         low, high = self._boxes[0][:, -1:], self._boxes[1][:, -1:]
         self._strongest = float(strongest_thrust(self._model, low, high)[0])
         self.worth = float(self.step * self._size.sum()) * (self._strongest + self._added[0])
-        self.most = self._run(coasts)
+        self.most = self._run(coasts, since)
 
     def _columns(self, horizon: float, fineness: Fineness) -> Float[np.ndarray, " S"]:
         """Lay columns over all reachable yaw rates; the extremes are columns."""
@@ -187,7 +188,7 @@ class YawProgram:
             boxes.append(2 * mean)
         return boxes[0], boxes[1]
 
-    def _run(self, coasts: Float[np.ndarray, " T"]) -> Float[np.ndarray, "K T"]:
+    def _run(self, coasts: Float[np.ndarray, " T"], since: float) -> Float[np.ndarray, "K T"]:
         """Step forwards in time: turn, read off the value at the goal, push."""
         step, unit = self.step, self._spins[1] - self._spins[0]
         turn = _Turn(self._spins * step, len(self._yaws))
@@ -196,10 +197,11 @@ class YawProgram:
         changes = np.arange(-side, side + 1)
         worth, steepest = self._begin()
         bends = [steepest]
-        most = np.zeros((self._count, len(coasts)))
+        most = np.full((self._count, len(coasts)), _IMPOSSIBLE)
         for k in range(1, self._count + 1):
             worth = turn(worth) + added[k - 1, :, None]
-            most[k - 1] = self._goal_worth(worth, k, coasts)
+            if k * step > since:
+                most[k - 1] = self._goal_worth(worth, k, coasts)
             if k < self._count:
                 gains = self._gains(k, self._yaws, changes * unit / step, k % _REDRAWN == 0)
                 bends.append(_steepest(gains, self._yaws) * self._size[k] * step)
@@ -347,8 +349,9 @@ def frontier(
 ) -> Float[np.ndarray, "Y M"]:
     """Bound the push at each angle to its direction and each moment, with one linear program each.
 
-    The dual has one unknown μ: min over μ of max over F of (push + μ turn)·F - μ moment. Its
-    minimum lies where one term changes sign. `added` bounds accelerations other than thrust. The
+    The dual has one unknown μ: min over μ of max over F of (push + μ turn)·F - μ moment. The slope
+    of the maximum jumps where one term changes sign, from the lowest moment to the highest, so its
+    minimum lies at the jump across the moment. `added` bounds accelerations other than thrust. The
     chords between evenly spaced moments lie above the values in between; moments beyond the first
     infeasible moment are unreachable.
     """
@@ -357,25 +360,25 @@ def frontier(
     turns = np.abs(turn) > _TURNS * np.abs(turn).max()
     prices = np.where(turns, -push / np.where(turns, turn, 1.0), 0.0)
     prices = np.append(prices, np.zeros((len(angles), 1)), axis=1)
-    terms = push[:, None, :] + prices[:, :, None] * turn
-    ceiling = np.where(terms > 0, terms * high, terms * low).sum(axis=-1)
-    ceiling = ceiling + np.abs(prices) * added[1]
-    table = np.full((len(angles), len(moments)), np.inf)
-    slopes = np.zeros_like(table)
-    for top, price in zip(ceiling.T[..., None], prices.T[..., None], strict=True):
-        tangent = top - price * moments
-        lower = tangent < table
-        np.copyto(table, tangent, where=lower)
-        np.copyto(slopes, -price, where=lower)
-    # Tangents at the ends of a chord meet above all values in between.
-    spacing = moments[1] - moments[0]
-    chord = np.diff(table, axis=1) / spacing
-    above, below = slopes[:, :-1] - chord, chord - slopes[:, 1:]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        excess = np.nan_to_num(above * below * spacing / (above + below), posinf=0.0, neginf=0.0)
-    sides = np.pad(np.maximum(excess, 0.0), ((0, 0), (1, 1)))
-    table = table + np.maximum(sides[:, 1:], sides[:, :-1]) + added[0]
+    order = np.argsort(prices, axis=1)
+    prices = np.take_along_axis(prices, order, axis=1)
+    terms = (push[:, None, :] + prices[:, :, None] * turn).reshape(-1, len(turn))
+    ceiling = weighted_range(terms, low, high)[1].reshape(prices.shape) + np.abs(prices) * added[1]
     least, most = weighted_range(turn, low, high)
+    jumps = np.append(np.abs(turn) * (high - low), 2 * added[1])[order[:, :-1]]
+    spacing = moments[1] - moments[0]
+    place = np.ceil((least - added[1] + np.cumsum(jumps, axis=1) - moments[0]) / spacing)
+    place = np.clip(place, 0, len(moments)).astype(int)
+    counts = np.diff(place, axis=1, prepend=0, append=len(moments)).ravel()
+    shape = len(angles), len(moments)
+    slopes = -np.repeat(prices, counts).reshape(shape)
+    table = np.repeat(ceiling, counts).reshape(shape) + slopes * moments
+    # Tangents at the ends of a chord meet above all values in between.
+    chord = np.diff(table, axis=1) / spacing
+    above, below = np.maximum(slopes[:, :-1] - chord, 0.0), np.maximum(chord - slopes[:, 1:], 0.0)
+    excess = above * below * spacing / np.maximum(above + below, np.finfo(float).tiny)
+    sides = np.pad(excess, ((0, 0), (1, 1)))
+    table += np.maximum(sides[:, 1:], sides[:, :-1]) + added[0]
     far = (2 if redrawn else 1) * spacing
     reached = (moments > least - added[1] - far) & (moments < most + added[1] + far)
     if redrawn:
