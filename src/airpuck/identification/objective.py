@@ -494,5 +494,4 @@ def _local_coordinates(parameters: Parameters, moved_by: list[Any]) -> Float[np.
     """Return d(local)/dθ for the coordinates that `normal_equations` differentiates by."""
     last = ("motor_time_constant", "idle_lag", "transport_delay")
     thrust, *others = (parameters.mask(frozenset({name})) for name in ("thrust", *last))
-    entry = np.eye(len(thrust))
-    return np.concatenate([entry[part] for part in (thrust, moved_by, *others)])
+    return np.concatenate([np.eye(len(thrust))[part] for part in (thrust, moved_by, *others)])

@@ -323,8 +323,7 @@ def information_growth(
     basis: Float[np.ndarray, "P R"],
 ) -> Float[np.ndarray, "P P"]:
     """Return (H + added)⁻¹ H, the correction of errors that were computed from H alone."""
-    inverse = np.linalg.inv(basis.T @ (hessian + added) @ basis)
-    return basis @ inverse @ basis.T @ hessian
+    return basis @ np.linalg.inv(basis.T @ (hessian + added) @ basis) @ basis.T @ hessian
 
 
 def without_meaningless(uncertainty: Uncertainty, parameters: Parameters) -> Uncertainty:

@@ -227,8 +227,7 @@ def _time(time: Float[np.ndarray, " N"], values: Float[np.ndarray, "N k"], push:
     if not push > 0 or len(time) < 2:
         return VELOCITY_TIME
     ratio = (pose_noise(time, values, push) / (_SLOPE_BIAS * push)) ** 2 * usual_period(time)
-    best = (1.5 * _SLOPE_NOISE * ratio) ** 0.2
-    return min(max(best, VELOCITY_TIME), _LONGEST)
+    return min(max((1.5 * _SLOPE_NOISE * ratio) ** 0.2, VELOCITY_TIME), _LONGEST)
 
 
 def in_parts(

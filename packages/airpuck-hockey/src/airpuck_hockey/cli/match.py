@@ -52,8 +52,7 @@ def read_player(name: str) -> airpuck.Model:
 
         @cache
         def progress() -> Callable[[float, float], None]:  # shown only if there is any work
-            words = "planning this craft's shortest times, once"
-            return stack.enter_context(show_time_left(words))
+            return stack.enter_context(show_time_left("planning this craft's shortest times, once"))
 
         times = minimal_times_of(model, lambda done, of: progress()(done, of))
     if times.margin > 0:
