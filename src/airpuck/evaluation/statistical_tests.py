@@ -173,10 +173,9 @@ def redrawn_means(
         return None
     sums = np.cumsum(np.pad(values, ((0, 0), (1, 0))), axis=1)
     of_block = (sums[:, length:] - sums[:, :-length]) / length
-    places = of_block.shape[1]
-    chosen = np.random.default_rng(0).integers(places, size=(_DRAWS, round(count)))
-    often = np.stack([np.bincount(draw, minlength=places) for draw in chosen], axis=1)
-    return of_block @ often / chosen.shape[1]
+    size = _DRAWS, round(count)
+    chosen = np.random.default_rng(0).integers(of_block.shape[1], size=size)
+    return np.array([each[chosen].mean(axis=1) for each in of_block])
 
 
 def rmse_interval(
