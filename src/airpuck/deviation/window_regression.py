@@ -22,6 +22,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
+from numpy.polynomial.polynomial import polyvander
 
 from airpuck.craft.vehicle import GRAVITY
 from airpuck.data.trajectory import Trajectory
@@ -320,9 +321,9 @@ def _curvatures(
     """Return the second derivative of the parabola through the poses of each window."""
     middle = time.mean(axis=1, keepdims=True)
     half = (time[:, -1:] - time[:, :1]) / 2
-    powers = ((time - middle) / half)[..., None] ** np.arange(3)
-    pose = pose - pose[:, :1]
-    return 2 * (np.linalg.pinv(powers)[:, 2:] @ pose)[:, 0] / half**2
+    powers = polyvander((time - middle) / half, 2)
+    moments, pose = np.swapaxes(powers, 1, 2), pose - pose[:, :1]
+    return 2 * np.linalg.solve(moments @ powers, moments @ pose)[:, 2] / half**2
 
 
 def _longer(one: _FTest, level: float) -> float:

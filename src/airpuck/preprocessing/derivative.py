@@ -13,6 +13,7 @@ from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from numpy.polynomial.polynomial import polyvander
 
 from airpuck.craft.vehicle import Vehicle
 from airpuck.data.sampling import longest_bridge, runs, usual_period
@@ -129,10 +130,10 @@ def _smooth_unevenly(
         first = np.clip(each - window // 2, 0, len(time) - window)
         index = first[:, None] + np.arange(window)
         offset = (time[index] - time[each, None]) / (time[index[:, -1:]] - time[index[:, :1]])
-        powers = offset[..., None] ** np.arange(POLYNOMIAL_ORDER + 1)
-        basis, _ = np.linalg.qr(root[index][..., None] * powers)
+        basis, _ = np.linalg.qr(root[index][..., None] * polyvander(offset, POLYNOMIAL_ORDER))
         own = basis[np.arange(len(each)), each - first] / root[each, None]
-        found[part] = np.einsum("np,nwp,nw,nwk->nk", own, basis, root[index], values[index])
+        shares = np.einsum("np,nwp->nw", own, basis) * root[index]
+        found[part] = np.einsum("nw,nwk->nk", shares, values[index])
     return found
 
 
@@ -202,9 +203,7 @@ def _local_derivative(
         first = np.clip(each - window // 2, 0, len(time) - window)
         index = first[:, None] + np.arange(window)
         half = (time[first + window - 1] - time[first])[:, None] / 2
-        powers = ((time[index] - time[each, None]) / half)[..., None] ** np.arange(
-            POLYNOMIAL_ORDER + 1
-        )
+        powers = polyvander((time[index] - time[each, None]) / half, POLYNOMIAL_ORDER)
         moments = np.swapaxes(powers, 1, 2)
         coefficients = np.linalg.solve(moments @ powers, moments @ values[index])
         found[each] = math.factorial(order) * coefficients[:, order] / half**order
