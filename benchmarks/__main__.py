@@ -145,6 +145,7 @@ def each_command(table: Table, folder: Path) -> None:
     if table.only and not any(name.startswith(table.only) for name in names):
         return
     peer = float(workload("peer", "--runs", 1).figures["cpu_s"])
+    table.add("command: the peer's fit", "s of CPU", lambda: peer, runs=1)
     stored = STORED | {"JAX_COMPILATION_CACHE_DIR": str(folder / "compiled")}
 
     def share(name: str, when: str) -> float:
