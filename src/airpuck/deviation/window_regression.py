@@ -323,7 +323,9 @@ def _curvatures(
     half = (time[:, -1:] - time[:, :1]) / 2
     powers = polyvander((time - middle) / half, 2)
     moments, pose = np.swapaxes(powers, 1, 2), pose - pose[:, :1]
-    return 2 * np.linalg.solve(moments @ powers, moments @ pose)[:, 2] / half**2
+    # A pseudoinverse, since nearly all poses of a window may bear nearly the same time.
+    inverse = np.linalg.pinv(moments @ powers, hermitian=True)
+    return 2 * (inverse @ (moments @ pose))[:, 2] / half**2
 
 
 def _longer(one: _FTest, level: float) -> float:
