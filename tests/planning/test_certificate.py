@@ -10,6 +10,7 @@ from studies.bounds import affected, case, missing_at, sharp
 import airpuck
 from airpuck import Effect, Goal, Limits, Table
 from airpuck.physics.effects import Drag, Tilt
+from airpuck.planning import certificate
 from airpuck.planning import plan as planning
 from airpuck.planning.certificate import lower_bound, lower_bound_through, unavoidable_rail
 from airpuck.planning.request import Request, checked_request, motor_range
@@ -228,6 +229,18 @@ def test_a_figure_of_eight_has_a_bound_despite_its_curved_legs():
     pushed = np.maximum(np.outer(along.real, full[0]) + np.outer(along.imag, full[1]), 0)
     assert bound > 0.85 * 2 * np.sqrt(2 * np.hypot(*point) / pushed.sum(axis=1).max())
     assert bound < 0.7 + 0.7
+
+
+@pytest.mark.slow
+def test_a_leg_that_coarse_programs_cannot_refute_ends_the_search(monkeypatch):
+    programs = []
+    usual = certificate.YawProgram
+    monkeypatch.setattr(
+        certificate, "YawProgram", lambda *args: programs.append(usual(*args)) or programs[-1]
+    )
+    asked = checked_request(M3, (0, 0, 0), (0.6, 0, 0), ((0.3, 0.3),), None, (), WIDE)
+    assert lower_bound_through(asked, np.array([0.446, 0.425])) > 0.66
+    assert len(programs) < 60  # 28; five times as many if the search goes on
 
 
 @pytest.mark.slow

@@ -212,7 +212,7 @@ def _starts_table(found: Plan) -> Table:
         (start.name, "–" if start.time_s is None else f"{start.time_s:.4f}", start.status)
         for start in found.starts
     ]
-    title = f"Starts of the search; the slowest is {100 * found.spread:.1f} % slower than the best"
+    title = f"Search on the coarse grid; the slowest start is {100 * found.spread:.1f} % slower"
     return table(("start", "s", "solver"), rows, title=title, left=("start", "solver"))
 
 

@@ -90,8 +90,9 @@ def settings_of(kind: Any) -> list[str]:
 def register_pytree(kind: Any, static: Callable[[Any], Sequence[str]] = lambda _: ()) -> None:
     """Let JAX see the arrays inside a dataclass; the fields that `static` names contain none.
 
-    JAX treats another class as a constant. Not `register_dataclass`: in jaxlib 0.10.2, trees of two
-    such classes with as many fields are equal, so that one's program could run for the other.
+    JAX treats another class as a constant. `register_dataclass` will not do: in jaxlib 0.10.2,
+    trees of two such classes with the same number of fields are equal, so that the program of one
+    could run for the other.
     """
     from jax.tree_util import register_pytree_node, register_static
 

@@ -30,7 +30,8 @@ _SEARCHES, _REFINEMENTS = 14, 4
 _LEADS = (0.4, 0.6, 0.8)
 #: The coarse search ends when the bound improves by less than this fraction.
 _IMPROVED = 5e-4
-#: The fine search ends when the bound lies so near to where a program would stop refuting.
+#: The fine search ends when the bound is within this fraction of the time where a program stops
+#: refuting.
 _NEAR_END = 1e-3
 #: Fine grids refute a longer duration than coarse ones, by about this factor (1.02 to 1.05).
 _FINER = 1.03
@@ -149,8 +150,10 @@ class _Durations:
         coasts = _COASTS[:1] if self.waits else _COASTS
         weight = weight or self._weight.compressed(own / self._duration)
         coasts = coasts * horizon / fineness.steps
-        # Where the program stops refuting is read off from a few ends before that.
-        since = self._last - _GUESSED * horizon / fineness.steps if self.waits else 0.0
+        # A fine program need not refute again what is refuted, but for the steps from which `_root`
+        # extrapolates. A coarse one that refutes nothing must show it, so that the search ends.
+        begins = self.waits and fineness is _FINE
+        since = self._last - _GUESSED * horizon / fineness.steps if begins else 0.0
         program = YawProgram(self._request, weight, horizon, fineness, coasts, since)
         needed = _needed(self._request, program, coasts)
         ends = program.step * np.arange(1, fineness.steps + 1)
