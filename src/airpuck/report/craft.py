@@ -10,10 +10,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Arc, Circle, Wedge
 
+from airpuck.boundary.outputs import packaged_text
 from airpuck.craft.vehicle import Vehicle
 from airpuck.physics.rigid_body import wrapped
 from airpuck.report import style
-from airpuck.report.page import PageSection, Picture, packaged_text
+from airpuck.report.page import PageSection, Picture
 
 #: Largest spread of radii or half-angles that share one annotation [m, rad].
 _SAME_RADIUS, _SAME_ANGLE = 1e-4, 2e-3
