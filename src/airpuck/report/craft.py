@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Literal
-
 import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
@@ -30,13 +28,6 @@ def actuator_words(vehicle: Vehicle) -> str:
     noun = "on/off thruster" if "on_off" in actuation.kinds else "propeller"
     counts = (len(vehicle.propellers), noun), (len(actuation.wheels), "wheel")
     return ", ".join(f"{n} {noun}{'' if n == 1 else 's'}" for n, noun in counts if n)
-
-
-def draw_craft(vehicle: Vehicle, suffix: str) -> bytes:
-    """Draw a craft in the format of a suffix: ``.svg``, ``.png`` or ``.pdf``."""
-    formats: dict[str, Literal["svg", "png", "pdf"]]
-    formats = {".svg": "svg", ".png": "png", ".pdf": "pdf"}
-    return style.drawn(craft_figure(vehicle), formats[suffix])
 
 
 def craft_section(vehicle: Vehicle) -> PageSection:
