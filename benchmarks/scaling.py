@@ -22,7 +22,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
-from airpuck.report.style import write_png
+from airpuck.report.style import write_figure
 
 from .process import AIRPUCK, Run, run, workload
 
@@ -163,7 +163,7 @@ def main() -> None:
         panels[0].set_ylabel(costs)
         panels[0].legend()
     options.output.parent.mkdir(parents=True, exist_ok=True)
-    write_png(figure, options.output)
+    write_figure(figure, options.output)
     print(json.dumps({"exponents": exponents}))
 
 

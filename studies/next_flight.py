@@ -25,7 +25,7 @@ from airpuck.identification.fit import identify
 from airpuck.identification.settings import Preparation
 from airpuck.model.model_file import Model, published_model
 from airpuck.report.fit_figures import design_figure
-from airpuck.report.style import VERMILLION, label_rows, write_png
+from airpuck.report.style import VERMILLION, label_rows, write_figure
 from airpuck.twin.radio import as_received
 from airpuck.twin.settings import TwinSettings, default_twin_settings
 
@@ -147,7 +147,7 @@ def main() -> None:
         figure = design_figure(found)
         rows = label_rows(figure.axes[0], proposal.labels)
         figure.axes[0].plot(100 * proposal.errors.T, rows, "|", color=VERMILLION, ms=9, mew=1.3)
-        write_png(figure, options.figure)
+        write_figure(figure, options.figure)
 
 
 if __name__ == "__main__":

@@ -240,7 +240,7 @@ def main() -> None:
     for name, hand in league.get("people", {}).items():
         print(f"{name}: {json.dumps(hand)}")
     if options.output:
-        style.write_png(league_figure(league, found), options.output)
+        style.write_figure(league_figure(league, found), options.output)
 
 
 if __name__ == "__main__":

@@ -85,8 +85,8 @@ class Watch:
         stop = time.monotonic() + seconds
         while (left := stop - time.monotonic()) > 0:
             for message in self._listener.listen(min(left, 0.02)):
-                self.heard[message.topic].append(message)
-                if message.topic == EVENTS.name:
+                self.heard[message.first.topic].append(message)
+                if message.first.topic == EVENTS.name:
                     self._told.append(EVENT.decode(message.data))
 
     def until(self, condition, timeout: float = 30.0):

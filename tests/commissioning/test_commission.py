@@ -9,6 +9,7 @@ import pytest
 from airpuck import Twin, TwinSettings, Vehicle, commission, read_model, read_vehicle
 from airpuck.commissioning.commission import STEPS
 from airpuck.commissioning.excitations import Excitations
+from airpuck.commissioning.session import Work
 from airpuck.craft.vehicle import default_vehicle
 from airpuck.evaluation.presentation import largest_acceleration
 from airpuck.model.model_file import nominal_model, published_model
@@ -159,7 +160,7 @@ def test_a_pulse_cut_off_by_a_rail_does_not_count():
     assert found.findings[0].cause == "The table slopes by 20 mrad"
 
 
-class TooLittle:
+class TooLittle(Work):
     """Studies to which every flight tells too little."""
 
     said = SimpleNamespace(

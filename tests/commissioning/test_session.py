@@ -8,6 +8,7 @@ import pytest
 from airpuck import Measurement, Pilot, Step, commission, read_recording
 from airpuck.boundary.results import Finding
 from airpuck.commissioning.excitations import WarmUp, first_cause
+from airpuck.commissioning.session import Work
 from airpuck.commissioning.steps import Pulses, Rest, hovering
 from airpuck.craft.vehicle import default_vehicle
 from airpuck.physics.rigid_body import turned
@@ -121,7 +122,7 @@ def test_flight_time_counts_every_second_with_running_motors():
     assert sum(on) > 10
 
 
-class SlowWork:
+class SlowWork(Work):
     """Takes ten looks."""
 
     looks = 0

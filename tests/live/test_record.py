@@ -29,7 +29,7 @@ def test_messages_are_never_received_before_they_were_sent(pair):
     while min(map(len, heard.values())) < 3 and time.monotonic() < stop:
         says[FIRST].send(message)
         for one in listener.listen(0.05):
-            heard[one.topic].append(one)
+            heard[one.first.topic].append(one)
             # While this message is processed, the other topic sends.
             says[SECOND].send(message)
             time.sleep(0.01)
@@ -47,7 +47,7 @@ def test_own_messages_are_received_only_on_request(pair):
         says.send(message)
         assert not list(deaf.listen(0.02))
         heard += alert.listen(0.02)
-    assert [one.topic for one in heard[:1]] == [FIRST]
+    assert [one.first.topic for one in heard[:1]] == [FIRST]
 
 
 @pytest.mark.parametrize(("more", "less"), [(STATE, SENSOR), (LOG, STATE), (LOG, SENSOR)])

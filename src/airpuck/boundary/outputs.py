@@ -1,4 +1,4 @@
-"""Output files and folders: checked before the work begins, replaced in one step."""
+"""Output files and folders: checked before the work begins, made from templates, replaced."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ import shutil
 import stat
 import tempfile
 from collections.abc import Iterator
+from importlib import resources
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from airpuck.boundary.errors import InputError
 
@@ -128,3 +129,18 @@ def new_folder(path: str | os.PathLike[str]) -> Iterator[Path]:
         raise unwritable(path, error) from error
     finally:
         shutil.rmtree(shelter, ignore_errors=True)
+
+
+def packaged_text(name: str) -> str:
+    """Read a text file of the package."""
+    return (resources.files("airpuck") / "packaged" / name).read_text("utf-8")
+
+
+def rendered(template: str, **values: Any) -> str:
+    """Fill in a template of the package for HTML, SVG or XML; values are escaped."""
+    import jinja2
+
+    environment = jinja2.Environment(
+        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    return environment.from_string(packaged_text(template)).render(**values)

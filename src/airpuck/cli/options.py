@@ -114,7 +114,7 @@ def output(metavar: Literal["FILE", "DIR", "BAG"], help: str, *names: str) -> An
 
 def figure(what: str) -> Any:
     """Return the option for a figure to write."""
-    return output("FILE", f"Figure of {what} to write, a PNG.", "--figure")
+    return output("FILE", f"Figure of {what} to write: PNG, PDF or SVG.", "--figure")
 
 
 def _file(option: str, help: str, reader: str = "") -> Setting:

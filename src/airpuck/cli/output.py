@@ -52,11 +52,9 @@ def page(folder: Path | None, name: str, *content: Any, **options: Any) -> Path 
 
 
 def draw(path: Path | None, name: str, *content: Any) -> Path | None:
-    """Write a figure as a PNG if its path is given; see `page`."""
+    """Write a figure if its path is given; see `page`."""
     if path is not None:
-        from airpuck.report.style import write_png
-
-        write_png(_reported(name)(*content), path)
+        _reported("style.write_figure")(_reported(name)(*content), path)
     return path
 
 

@@ -15,7 +15,7 @@ from airpuck.boundary.settings import Setting
 from airpuck.cli import options
 from airpuck.cli.app import command
 from airpuck.cli.identification import PANEL, value_texts
-from airpuck.cli.output import page, report, table, warn
+from airpuck.cli.output import draw, page, report, table, warn
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -325,7 +325,6 @@ def vehicle(
     ] = None,
 ) -> None:
     """Show a vehicle file: its propellers, and the motions they can produce."""
-    from airpuck.boundary.outputs import replacing
     from airpuck.control.authority import control_authority
     from airpuck.model.model_file import nominal_model
 
@@ -333,11 +332,7 @@ def vehicle(
         raise InputError(f"must end in {', '.join(_FORMATS)}", file=output, field="-o")
     model = nominal_model(airpuck.read_vehicle(file))
     found = control_authority(model)
-    if output is not None:
-        from airpuck.report.craft import draw_craft
-
-        with replacing(output) as temporary:
-            temporary.write_bytes(draw_craft(model.vehicle, output.suffix))
+    draw(output, "craft.craft_figure", model.vehicle)
     report(
         {**model.vehicle.model_dump(mode="json"), "motions": found.to_json()},
         _propeller_table(model),

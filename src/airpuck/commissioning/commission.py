@@ -15,7 +15,7 @@ from typing import Any
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.results import Finding, Result
 from airpuck.commissioning.excitations import Excitations, WarmUp
-from airpuck.commissioning.session import Commissioned, Ended, KeptFlight, Learned, TimedWork, Work
+from airpuck.commissioning.session import Commissioned, Ended, KeptFlight, Learned, Work
 from airpuck.commissioning.steps import CommissioningStep, Hover, Pulses, Rest
 from airpuck.compute.process import prioritize
 from airpuck.craft.table import Table
@@ -151,7 +151,7 @@ def commission(
     (False, ['rest'])
     """
     begun = time.monotonic()
-    given = seed, tell, stopped, work or TimedWork(), early
+    given = seed, tell, stopped, work or Work(), early
     session = Commissioned(link, vehicle, table or Table(), *given)
     ended: Finding | None = None
     try:

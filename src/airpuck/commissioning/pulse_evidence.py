@@ -6,10 +6,12 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
 
+from airpuck.boundary.files import checked, laid_over
 from airpuck.boundary.results import Finding
 from airpuck.commissioning.session import Commissioned
 from airpuck.craft.vehicle import Vehicle
@@ -219,7 +221,9 @@ def corrected(vehicle: Vehicle, matches: Mapping[int, EffectMatch]) -> Vehicle:
         for one, other in vehicle.pair_indices
         if one in place and other in place
     ]
-    return _copy(vehicle, propellers=propellers, pairs=pairs, thrust_N=curves.tolist())
+    placed = [one.model_dump(mode="json", exclude_none=True) for one in propellers]
+    nominal = {"thrust_N": curves.tolist()}
+    return _changed(vehicle, {"propellers": placed, "pairs": pairs, "nominal": nominal})
 
 
 def _of_propellers(vehicle: Vehicle, matches: Mapping[int, EffectMatch]) -> dict[int, EffectMatch]:
@@ -254,23 +258,15 @@ def measured(model: Model, effects: Float[np.ndarray, "3 n"], delay: float) -> V
         strength[vehicle.actuation.channels[k].column] = push[k]
     # What is not clear yet keeps a little thrust: a curve must rise.
     strength = np.maximum(strength, _LEAST * abs(usual))
-    return _copy(
-        vehicle,
-        thrust_N=(strength[:, None] * curves).tolist(),
-        inertia_kg_m2=inertia * nominal.inertia_kg_m2,
-        motor_time_constant_s=float(np.max(model.dynamics.lag)),
-        transport_delay_s=max(delay, 0.0),
-    )
+    found = {
+        "thrust_N": (strength[:, None] * curves).tolist(),
+        "inertia_kg_m2": inertia * nominal.inertia_kg_m2,
+        "motor_time_constant_s": float(np.max(model.dynamics.lag)),
+        "transport_delay_s": max(delay, 0.0),
+    }
+    return _changed(vehicle, {"nominal": found})
 
 
-def _copy(vehicle: Vehicle, **changes: object) -> Vehicle:
-    """Return a checked copy with other values, of the vehicle or its nominal values."""
-    content = vehicle.model_dump(mode="json")
-    for key, value in changes.items():
-        place = content if key in content else content["nominal"]
-        place[key] = (
-            [one.model_dump(mode="json", exclude_none=True) for one in value]  # type: ignore
-            if key == "propellers"
-            else value
-        )
-    return Vehicle.model_validate(content)
+def _changed(vehicle: Vehicle, values: dict[str, Any]) -> Vehicle:
+    """Return a checked copy with other values, table by table."""
+    return checked(laid_over(vehicle.model_dump(mode="json"), values), Vehicle)

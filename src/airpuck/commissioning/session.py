@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -48,41 +48,25 @@ class Ended(Exception):
         self.finding = finding
 
 
-@runtime_checkable
-class Work(Protocol):
-    """Runs a long computation while the craft flies."""
+class Work:
+    """Runs a long computation while the craft flies.
 
-    def start(self, now: float, function: Callable[..., Any], *arguments: Any) -> None:
-        """Start a computation at a time of the link [s]."""
-        ...
-
-    def done(self, now: float) -> bool:
-        """Return whether it is done at a time of the link [s]."""
-        ...
-
-    def result(self) -> Any:
-        """Return its result."""
-        ...
-
-
-class TimedWork:
-    """Computes at once and lets the computing time pass on the link's clock: for the twin.
-
-    Counts processor time, so that other programs do not lengthen the flight.
+    For the twin: computes at once, and lets the computing time pass on the link's clock. Counts
+    processor time, so that other programs do not lengthen the flight.
     """
 
     def start(self, now: float, function: Callable[..., Any], *arguments: Any) -> None:
-        """Compute; see `Work`."""
+        """Start a computation at a time of the link [s]."""
         begun = time.process_time()
         self._found = function(*arguments)
         self._until = now + time.process_time() - begun
 
     def done(self, now: float) -> bool:
-        """Return whether the time has passed; see `Work`."""
+        """Return whether it is done at a time of the link [s]."""
         return now >= self._until
 
     def result(self) -> Any:
-        """Return the result; see `Work`."""
+        """Return its result."""
         return self._found
 
 

@@ -84,7 +84,7 @@ def functions(model: Model, free: Sequence[str] = ()) -> dict[str, casadi.Functi
 def write(subject: Subject, folder: Path) -> dict[str, Any]:
     """Write the functions with constant parameters, and with the learned ones as an argument."""
     model, vehicle = subject.model, subject.model.vehicle
-    free = [name for name in _arguments(model) if _learned(model, name)]
+    free = [name for name in _arguments(model) if model.learns(name)]
     for names, suffix in [([], ""), (free, "_free")][: 2 if free else 1]:
         for name, function in functions(model, names).items():
             function.save(str(folder / f"{name}{suffix}.casadi"))
@@ -129,11 +129,6 @@ def _arguments(model: Model) -> list[str]:
     if model.parameters.configuration_matrix is not None:
         without |= {"inertia", "angle_offset"}
     return [q.name for q in model.parameters.quantities if q.name not in without]
-
-
-def _learned(model: Model, name: str) -> bool:
-    """Return whether an entry of a parameter was learned."""
-    return bool(model.free[model.parameters.mask(frozenset({name}))].any())
 
 
 def _dynamics(model: Model, mask: np.ndarray, entries: Any) -> rigid_body.Dynamics:

@@ -10,10 +10,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree as Xml
 
 import airpuck
 from airpuck.boundary.errors import InputError
+from airpuck.boundary.outputs import rendered
 from airpuck.export.c import coefficients, constant, copy_sources, title, write_model
 from airpuck.export.kinds import Subject, refuse_actuators, refuse_settings
 from airpuck.physics.puck import Disc
@@ -25,14 +25,6 @@ NAME = "airpuck"
 #: Files to compile. They include `fmi3Functions.h`, which the importing tool provides: FMI 3.0
 #: excludes its own headers from a unit (section 2.5.1, structure of the ZIP file).
 _SOURCES = ("airpuck_plant.c", "airpuck_fmu.c", "airpuck_fmu_absent.c")
-_UNITS = {
-    "m": {"m": 1},
-    "s": {"s": 1},
-    "rad": {"rad": 1},
-    "Hz": {"s": -1},
-    "m/s": {"m": 1, "s": -1},
-    "rad/s": {"rad": 1, "s": -1},
-}
 #: Settings of the twin that the FMU cannot represent.
 _REFUSED = (
     "radio.outages_s",
@@ -88,8 +80,10 @@ def write(subject: Subject, folder: Path) -> dict[str, Any]:
         licences.mkdir(parents=True)
         copy_sources(["LICENSE"], licences)
         (licences / "LICENSE").rename(licences / "license.txt")
-        _save(sources / "buildDescription.xml", _build_description())
-        _save(unit / "modelDescription.xml", _model_description(subject, listed, token))
+        build = rendered("buildDescription.xml.jinja", name=NAME, sources=_SOURCES)
+        (sources / "buildDescription.xml").write_text(build, encoding="utf-8")
+        description = _description(subject, listed, token)
+        (unit / "modelDescription.xml").write_text(description, encoding="utf-8")
         _zip(unit, folder / f"{NAME}.fmu")
     counts = {c: sum(v.causality == c for v in listed) for c in ("input", "parameter", "output")}
     return {
@@ -218,87 +212,18 @@ def _c_number(value: float) -> str:
     return f"{'-' * (value < 0)}INFINITY" if math.isinf(value) else repr(float(value))
 
 
-def _build_description() -> Xml.Element:
-    """Return the content of `sources/buildDescription.xml`."""
-    root = Xml.Element("fmiBuildDescription", fmiVersion="3.0")
-    configuration = Xml.SubElement(root, "BuildConfiguration", modelIdentifier=NAME)
-    sources = Xml.SubElement(configuration, "SourceFileSet", language="C99")
-    for name in ("airpuck_model.c", "airpuck_data.c", *_SOURCES):
-        Xml.SubElement(sources, "SourceFile", name=name)
-    Xml.SubElement(
-        configuration,
-        "Library",
-        name="m",
-        external="true",
-        description="The C mathematical functions, if they are a separate library.",
-    )
-    return root
-
-
-def _model_description(subject: Subject, listed: list[Variable], token: str) -> Xml.Element:
+def _description(subject: Subject, listed: list[Variable], token: str) -> str:
     """Return the content of `modelDescription.xml`."""
-    root = Xml.Element(
-        "fmiModelDescription",
-        fmiVersion="3.0",
-        modelName="".join(filter(str.isprintable, subject.model.vehicle.name)),
-        instantiationToken=token,
+    return rendered(
+        "modelDescription.xml.jinja",
+        name=NAME,
+        craft="".join(filter(str.isprintable, subject.model.vehicle.name)),
+        token=token,
         description=" ".join(title(subject.model).strip("/* ").replace("\n *", "").split()),
-        generationTool=f"airpuck {airpuck.__version__}",
-        copyright="Copyright (c) 2026, the airpuck authors",
-        license="BSD-2-Clause",
-        variableNamingConvention="flat",
+        version=airpuck.__version__,
+        variables=listed,
+        infinity=math.inf,
     )
-    Xml.SubElement(
-        root,
-        "CoSimulation",
-        modelIdentifier=NAME,
-        canHandleVariableCommunicationStepSize="true",
-        canGetAndSetFMUState="true",
-    )
-    units = Xml.SubElement(root, "UnitDefinitions")
-    for name, base in _UNITS.items():
-        unit = Xml.SubElement(units, "Unit", name=name)
-        Xml.SubElement(unit, "BaseUnit", {key: str(power) for key, power in base.items()})
-    categories = Xml.SubElement(root, "LogCategories")
-    Xml.SubElement(categories, "Category", name="logStatusError")
-    Xml.SubElement(root, "DefaultExperiment", startTime="0", stopTime="10", stepSize="0.01")
-    elements = Xml.SubElement(root, "ModelVariables")
-    for reference, variable in enumerate(listed):
-        Xml.SubElement(elements, variable.kind, _attributes(reference, variable))
-    structure = Xml.SubElement(root, "ModelStructure")
-    outputs = [str(i) for i, v in enumerate(listed) if v.causality == "output"]
-    for reference in outputs:
-        # No output depends on an input at the same time.
-        Xml.SubElement(structure, "Output", valueReference=reference, dependencies="")
-    for reference in outputs:
-        Xml.SubElement(structure, "InitialUnknown", valueReference=reference)
-    return root
-
-
-def _attributes(reference: int, variable: Variable) -> dict[str, str]:
-    """Return the attributes of a variable in `modelDescription.xml`."""
-    found = {
-        "name": variable.name,
-        "valueReference": str(reference),
-        "causality": variable.causality,
-        "variability": variable.variability,
-        "description": variable.description,
-    }
-    if variable.causality == "output":
-        found["initial"] = "calculated"
-    if variable.unit:
-        found["unit"] = variable.unit
-    number = int if variable.kind == "Int32" else float
-    for key, value in (("min", variable.low), ("max", variable.high), ("start", variable.start)):
-        if value is not None and math.isfinite(value):
-            found[key] = repr(number(value))
-    return found
-
-
-def _save(path: Path, root: Xml.Element) -> None:
-    """Write an XML file."""
-    Xml.indent(root)
-    Xml.ElementTree(root).write(path, encoding="utf-8", xml_declaration=True)
 
 
 def _zip(folder: Path, archive: Path) -> None:

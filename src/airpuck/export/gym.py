@@ -12,7 +12,8 @@ from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Int, UInt8
+from PIL import Image, ImageDraw
 
 from airpuck.boundary.errors import InputError, unknown
 from airpuck.control.law import Pilot
@@ -47,8 +48,8 @@ from gymnasium.utils.seeding import np_random  # isort: skip
 
 #: Pixels per metre, and room for the rails around the table [m].
 _SCALE, _RAIL = 300, 0.03
-#: Width of an outline, and half the length and width of the mark that shows the yaw, in radii.
-_OUTLINE, _MARK = 0.12, (0.45, 0.08)
+#: Width of lines, and length of the mark that shows the yaw, in radii.
+_OUTLINE, _MARK = 0.12, 0.9
 _FLOOR, _RAILS, _LINE = (250, 250, 247), (70, 70, 70), (214, 214, 208)
 #: Colours of a picture.
 WHITE, BLACK, GREEN, BLUE, RED = (
@@ -74,16 +75,24 @@ class DrawnDisc(NamedTuple):
 
 def picture(table: Table, discs: Iterable[DrawnDisc]) -> UInt8[np.ndarray, "height width 3"]:
     """Draw discs on a table, from back to front; y points up."""
-    half = np.array([table.length_m, table.width_m]) / 2
-    across, up = np.rint(2 * _SCALE * (half + _RAIL)).astype(int)
-    x = (np.arange(across) + 0.5) / _SCALE - half[0] - _RAIL
-    y = (half[1] + _RAIL - (np.arange(up) + 0.5) / _SCALE)[:, None]
-    image = np.full((up, across, 3), _RAILS, dtype=np.uint8)
-    image[(np.abs(x) < half[0]) & (np.abs(y) < half[1])] = _FLOOR
-    image[(np.abs(x) < 1 / _SCALE) & (np.abs(y) < half[1])] = _LINE
+    x, y = table.length_m / 2, table.width_m / 2
+    size = [round(2 * _SCALE * (side + _RAIL)) for side in (x, y)]
+    image = Image.new("RGB", (size[0], size[1]), _RAILS)
+    pen = ImageDraw.Draw(image)
+
+    def at(px: float, py: float) -> tuple[float, float]:
+        return _SCALE * (px + x + _RAIL), _SCALE * (y + _RAIL - py)
+
+    pen.rectangle([at(-x, y), at(x, -y)], _FLOOR)
+    pen.line([at(0, y), at(0, -y)], _LINE, 2)
     for disc in discs:
-        _draw(image, x - disc.pose[0], y - disc.pose[1], disc)
-    return image
+        (px, py, *yaw), radius = disc.pose, disc.radius
+        corners = [at(px - radius, py + radius), at(px + radius, py - radius)]
+        pen.ellipse(corners, disc.face, disc.edge, round(_OUTLINE * radius * _SCALE))
+        for angle in yaw:
+            front = at(px + _MARK * radius * math.cos(angle), py + _MARK * radius * math.sin(angle))
+            pen.line([at(px, py), front], disc.edge, round(_OUTLINE * radius * _SCALE))
+    return np.array(image)
 
 
 def drawn_puck(puck: Any, settings: TwinSettings) -> list[DrawnDisc]:
@@ -97,23 +106,6 @@ def check_render_mode(mode: str | None, metadata: Mapping[str, Any]) -> None:
     """Raise InputError for an unknown render mode."""
     if mode is not None and mode not in metadata["render_modes"]:
         raise InputError(unknown(mode, metadata["render_modes"]), field="render_mode")
-
-
-def _draw(
-    image: UInt8[np.ndarray, "height width 3"],
-    x: Float[np.ndarray, " width"],
-    y: Float[np.ndarray, "height 1"],
-    disc: DrawnDisc,
-) -> None:
-    """Draw a disc at the origin of x and y."""
-    away = np.hypot(x, y) / disc.radius
-    if disc.face is not None:
-        image[away < 1] = disc.face
-    image[np.abs(away - 1 + _OUTLINE / 2) < _OUTLINE / 2] = disc.edge
-    if len(disc.pose) > 2:
-        cos, sin = np.cos(disc.pose[2]), np.sin(disc.pose[2])
-        ahead, aside = (cos * x + sin * y) / disc.radius, (cos * y - sin * x) / disc.radius
-        image[(np.abs(ahead - _MARK[0]) < _MARK[0]) & (np.abs(aside) < _MARK[1])] = disc.edge
 
 
 #: Stamps closer than this count as equal, since ages are rounded [s].

@@ -17,7 +17,7 @@ from airpuck.export.kinds import (
     refuse_effects,
     refuse_frame,
 )
-from airpuck.model.authors_params import MOTORS
+from airpuck.model.authors_params import MOTORS, AuthorsSwitches
 from airpuck.model.model_file import Model
 
 #: Angle from the middle of the first pair to each of its propellers, and their distance from the
@@ -69,10 +69,9 @@ def params_json(model: Model) -> dict[str, Any]:
     order = np.shape(values.thrust)[1]
     if order > 3:
         cannot(f"thrust curves of degree {order}", "params.json; the highest is 3")
-    learned = {
-        name: bool(model.free[values.mask(frozenset({name}))].any())
-        for name in ("center_of_mass", "inertia", "motor_time_constant", "thrust", "angle_offset")
-    }
+    fields = AuthorsSwitches.model_fields
+    switches = {str(field.alias): model.learns(name) for name, field in fields.items()}
+    switches["learn_configuration_matrix"] = values.configuration_matrix is not None
     shared = {
         "center_of_mass": [*np.asarray(values.center_of_mass).tolist(), 0.0],
         "mass": vehicle.mass_kg,
@@ -86,13 +85,8 @@ def params_json(model: Model) -> dict[str, Any]:
         "model": {
             "load_model": False,
             "thrust_poly_order": order,
-            "learn_configuration_matrix": values.configuration_matrix is not None,
-            "learn_center_of_mass": learned["center_of_mass"],
-            "learn_inertia": learned["inertia"],
+            **switches,
             "learn_mass": False,
-            "learn_tau": learned["motor_time_constant"],
-            "learn_signal2thrust": learned["thrust"],
-            "learn_motor_angle_offset": learned["angle_offset"],
             "learn_motors_vec": False,
             "learn_motors_pos": False,
         },

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 
 import numpy as np
 
+from airpuck.boundary.outputs import rendered
 from airpuck.craft.table import Table
 from airpuck.craft.vehicle import GRAVITY
 from airpuck.export.kinds import (
@@ -33,20 +34,6 @@ _RAIL = 500.0
 _IMPEDANCE = "0.9999 0.9999 0.001 0.5 2"
 #: Lowest restitution exported: below it, the damping makes the contact stiff [fraction].
 _LEAST_RESTITUTION = 0.05
-#: Drawn height and thickness of a rail [m].
-_RAIL_HEIGHT, _RAIL_THICKNESS = 0.03, 0.05
-_HEADER = """ {name}: {vehicle}, written by airpuck.
-
-  Units are SI. qpos is x, y, yaw, and qvel their rates, of the geometric centre. The activations
-  are the motor speeds in [0, 1], then their squares, and so on up to the degree of the thrust
-  curves: the force of an actuator is linear in its activation. Set the controls with set_command
-  of airpuck_craft.py before each step.
-
-  dyntype="filterexact" is the exact solution of the motors' lag with the integrators Euler and
-  implicitfast, but not with RK4; use dyntype="filter" there.
-
-  Not in this file: the transport delay of {delay:.4g} ms, noise, and goals.
-"""
 
 
 def xml(model: Model, table: Table) -> str:
@@ -72,33 +59,31 @@ def xml(model: Model, table: Table) -> str:
     refuse_effects(model, "mjcf", [Tilt])
     refuse_actuators(model, "mjcf")
     refuse_frame(model, "mjcf", "body")
-    root = ElementTree.Element("mujoco", model="airpuck")
-    names = {"name": printable(model.name), "vehicle": printable(model.vehicle.name)}
-    header = _HEADER.format(**names, delay=1e3 * model.transport_delay)
-    root.append(ElementTree.Comment(header))
+    vehicle, parameters = model.vehicle, model.parameters
     slopes = [effect.gravity for effect in model.dynamics.effects if effect.gravity is not None]
-    _add(
-        root,
-        "option",
+    damping = _damping_ratio(max(table.restitution, _LEAST_RESTITUTION))
+    return rendered(
+        "craft.xml.jinja",
+        name=printable(model.name),
+        vehicle=printable(vehicle.name),
+        table=table,
+        delay_ms=1e3 * model.transport_delay,
         timestep=_TIMESTEP,
-        # Without lag the forces jump, which RK4 alone integrates exactly.
-        integrator="implicitfast" if model.parameters.motor_time_constant > 0 else "RK4",
-        cone="elliptic",
         gravity=[*np.sum([(0.0, 0.0), *slopes], axis=0), -GRAVITY],
+        lag=float(parameters.motor_time_constant),
+        powers=range(1, np.shape(parameters.thrust)[1] + 1),
+        center=parameters.center_of_mass,
+        mass=vehicle.mass_kg,
+        inertia=float(parameters.inertia),
+        radius=vehicle.radius_m,
+        motors=list(_motors(model)),
+        command_min=vehicle.command_min,
+        command_max=vehicle.command_max,
+        spring=(-(_RAIL**2), -2 * damping * _RAIL),
+        impedance=_IMPEDANCE,
+        numbers=_numbers,
+        actuator=_actuator,
     )
-    # Until when the controls are right, which set_command checks.
-    _add(root, "size", nuserdata=1)
-    custom = _add(root, "custom")
-    _add(custom, "numeric", name="thrust_degree", data=np.shape(model.parameters.thrust)[1])
-    world = _add(root, "worldbody")
-    _add(world, "light", pos=(0, 0, 3), directional="true")
-    _add_table(world, table)
-    gears = _add_craft(world, model)
-    _add_contacts(root, table)
-    _add_actuators(root, model, gears)
-    _add_sensors(root, model)
-    ElementTree.indent(root)
-    return ElementTree.tostring(root, encoding="unicode") + "\n"
 
 
 def write(subject: Subject, folder: Path) -> dict[str, Any]:
@@ -116,106 +101,37 @@ def write(subject: Subject, folder: Path) -> dict[str, Any]:
     }
 
 
-def _add(parent: ElementTree.Element, tag: str, **attributes: Any) -> ElementTree.Element:
-    """Append an element; its numbers are read back bit for bit."""
-    values = {
-        name: printable(value)
-        if isinstance(value, str)
-        else " ".join(map(_number, np.ravel(value)))
-        for name, value in attributes.items()
-    }
-    return ElementTree.SubElement(parent, tag, values)
-
-
-def _number(value: Any) -> str:
-    """Return a number in the fewest digits that identify it."""
-    return repr(float(value)).removesuffix(".0")
-
-
-def _add_table(world: ElementTree.Element, table: Table) -> None:
-    """Add the surface, which nothing collides with, and the rails."""
-    x, y, half = table.length_m / 2, table.width_m / 2, _RAIL_THICKNESS / 2
-    surface = {"type": "plane", "contype": 0, "conaffinity": 0, "rgba": "0.9 0.9 0.9 1"}
-    height = _RAIL_HEIGHT / 2
-    _add(world, "geom", name="table", size=(x, y, 0.01), pos=(0, 0, -height), **surface)
-    for name, position, size in (
-        ("east", (x + half, 0), (half, y + 2 * half)),
-        ("west", (-x - half, 0), (half, y + 2 * half)),
-        ("north", (0, y + half), (x + 2 * half, half)),
-        ("south", (0, -y - half), (x + 2 * half, half)),
-    ):
-        _add(
-            world,
-            "geom",
-            name=f"rail_{name}",
-            type="box",
-            pos=(*position, 0),
-            size=(*size, height),
-            contype=0,
-            conaffinity=0,
-            rgba="0.3 0.3 0.35 1",
-        )
-
-
-def _add_craft(world: ElementTree.Element, model: Model) -> np.ndarray:
-    """Add the body; return the gear of each motor, so that any Π is represented exactly."""
-    vehicle, dynamics = model.vehicle, model.dynamics
-    mass, inertia = vehicle.mass_kg, float(model.parameters.inertia)
-    center = np.asarray(model.parameters.center_of_mass, dtype=float)
-    body = _add(world, "body", name="craft")
-    for name, kind, axis in (
-        ("x", "slide", "1 0 0"),
-        ("y", "slide", "0 1 0"),
-        ("yaw", "hinge", "0 0 1"),
-    ):
-        _add(body, "joint", name=name, type=kind, axis=axis)
-    # Only the moment about the vertical axis acts; the others satisfy the triangle inequality.
-    _add(
-        body, "inertial", pos=(*center, 0), mass=mass, diaginertia=np.array([0.6, 0.6, 1]) * inertia
+def _numbers(*values: Any) -> str:
+    """Write numbers and vectors one after another, in the fewest digits that identify each."""
+    return " ".join(
+        repr(number).removesuffix(".0") for number in np.hstack(values, dtype=float).tolist()
     )
-    seen = {"contype": 0, "conaffinity": 0}
-    radius = vehicle.radius_m
-    _add(body, "geom", type="cylinder", size=(radius, 0.01), rgba="0.2 0.4 0.8 1", **seen)
-    # A sphere touches a rail at one point.
-    _add(body, "geom", name="hull", type="sphere", size=radius, group=3, **seen)
-    turned = model.parameters.angle_offset
-    cos, sin = math.cos(turned), math.sin(turned)
+
+
+def _motors(model: Model) -> Iterator[dict[str, Any]]:
+    """Yield name, place, direction, gear and thrust curve of each motor; any Π is exact."""
+    vehicle, dynamics, center = model.vehicle, model.dynamics, model.parameters.center_of_mass
+    mass, inertia = vehicle.mass_kg, float(model.parameters.inertia)
+    cos, sin = math.cos(model.parameters.angle_offset), math.sin(model.parameters.angle_offset)
     places = vehicle.positions @ np.array([[cos, sin], [-sin, cos]])
     forces, moments = mass * dynamics.configuration[:2].T, inertia * dynamics.configuration[2]
-    gears = np.zeros((len(places), 6))
-    for propeller, place, force, moment, gear in zip(
-        vehicle.propellers, places, forces, moments, gears, strict=True
+    for name, place, (fx, fy), moment, curve in zip(
+        vehicle.propeller_names, places, forces, moments, model.parameters.thrust, strict=True
     ):
-        angle, (px, py) = math.atan2(force[1], force[0]), place - center
-        _add(
-            body,
-            "site",
-            name=propeller.name,
-            pos=(*place, 0),
-            quat=(math.cos(angle / 2), 0, 0, math.sin(angle / 2)),
-            size=0.006,
-            rgba="0.9 0.5 0.1 1",
-        )
-        # A learned Π may turn the craft differently than the forces at its propellers would.
-        gear[0], gear[5] = math.hypot(*force), moment - (px * force[1] - py * force[0])
-    return gears
+        half, (px, py) = math.atan2(fy, fx) / 2, place - center
+        yield {
+            "name": printable(name),
+            "place": place,
+            "turn": (math.cos(half), 0, 0, math.sin(half)),
+            # A learned Π may turn the craft differently than the forces at its propellers would.
+            "gear": (math.hypot(fx, fy), 0, 0, 0, 0, moment - (px * fy - py * fx)),
+            "thrust": curve,
+        }
 
 
-def _add_contacts(root: ElementTree.Element, table: Table) -> None:
-    """Add contacts between craft and rails with the table's restitution and friction."""
-    damping = _damping_ratio(max(table.restitution, _LEAST_RESTITUTION))
-    contacts = _add(root, "contact")
-    for rail in ("east", "west", "north", "south"):
-        _add(
-            contacts,
-            "pair",
-            geom1="hull",
-            geom2=f"rail_{rail}",
-            condim=3,
-            friction=(table.friction, table.friction, 0, 0, 0),
-            solref=(-(_RAIL**2), -2 * damping * _RAIL),
-            solimp=_IMPEDANCE,
-        )
+def _actuator(motor: dict[str, Any], power: int) -> str:
+    """Return the name of the actuator for a motor and a power of its speed."""
+    return motor["name"] if power == 1 else f"{motor['name']}^{power}"
 
 
 def _damping_ratio(restitution: float) -> float:
@@ -241,45 +157,3 @@ def _damping_ratio(restitution: float) -> float:
         middle = (low + high) / 2
         low, high = (middle, high) if bounce(middle) > restitution else (low, middle)
     return low
-
-
-def _add_actuators(root: ElementTree.Element, model: Model, gears: np.ndarray) -> None:
-    """Add an actuator for each motor and power of its speed, all motors of a power together."""
-    vehicle, tau = model.vehicle, float(model.parameters.motor_time_constant)
-    actuators = _add(root, "actuator")
-    for k, coefficients in enumerate(np.asarray(model.parameters.thrust).T):
-        for name, coefficient, gear in zip(
-            vehicle.propeller_names, coefficients, gears, strict=True
-        ):
-            lag = {"dyntype": "filterexact", "dynprm": tau / (k + 1)} if tau > 0 else {}
-            # A motor that starts from rest needs lower controls for the higher powers.
-            limits = (vehicle.command_min if k == 0 else 0.0, vehicle.command_max ** (k + 1))
-            _add(
-                actuators,
-                "general",
-                name=_actuator(name, k),
-                site=name,
-                gear=gear,
-                gainprm=coefficient,
-                ctrlrange=limits,
-                ctrllimited="true",
-                **lag,
-            )
-
-
-def _actuator(name: str, k: int) -> str:
-    """Return the name of the actuator for a motor and the power k + 1 of its speed."""
-    return name if k == 0 else f"{name}^{k + 1}"
-
-
-def _add_sensors(root: ElementTree.Element, model: Model) -> None:
-    """Add pose and velocity of the geometric centre, and the forces of the actuators."""
-    sensors = _add(root, "sensor")
-    # No framepos: mujoco.sysid divides by each channel's size, and the height is always zero.
-    for joint, rate in (("x", "vx"), ("y", "vy"), ("yaw", "spin")):
-        _add(sensors, "jointpos", name=f"pose_{joint}", joint=joint)
-        _add(sensors, "jointvel", name=rate, joint=joint)
-    for k in range(np.shape(model.parameters.thrust)[1]):
-        for propeller in model.vehicle.propeller_names:
-            name = _actuator(propeller, k)
-            _add(sensors, "actuatorfrc", name=f"force_{name}", actuator=name)

@@ -11,7 +11,6 @@ from jaxtyping import Float
 
 from airpuck.control.law import Pilot, Step
 from airpuck.control.tracking import TrackingController
-from airpuck.data.measurement import Measurement
 from airpuck.fleet.agreement import Message
 from airpuck.fleet.path import SMOOTHED, Following, Route
 from airpuck.fleet.scenario import Fleet
@@ -88,6 +87,7 @@ class FleetPilot(Pilot):
         self.controller = TrackingController(
             member.model, self._following, member.tuning, table=table
         )
+        self.measured, self.sent = self.controller.measured, self.controller.sent
         room = member.reach.room
         self._search = Search(member.reach, np.array(table.reach(room)), seed)
         self._still = [one._replace(distance=one.distance + room) for one in fleet.obstacles]
@@ -108,14 +108,6 @@ class FleetPilot(Pilot):
         self._start = start
         self.agreement = self._fleet.agreement(self.member.name, start)
         self._following.path = self.agreement.agreed.path
-
-    def measured(self, measurement: Measurement) -> None:
-        """Receive a measurement of the craft; see `Pilot.measured`."""
-        self.controller.measured(measurement)
-
-    def sent(self, time: float, command: Float[np.ndarray, " n"]) -> None:
-        """Receive the command that was sent; see `Pilot.sent`."""
-        self.controller.sent(time, command)
 
     def heard(self, messages: Iterable[Message], now: float) -> None:
         """Receive messages of the others."""

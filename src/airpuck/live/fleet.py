@@ -11,12 +11,11 @@ import numpy as np
 from airpuck.boundary.results import Result
 from airpuck.control.law import Pilot
 from airpuck.control.pose_gate import longest_pause
-from airpuck.data.measurement import Measurement
 from airpuck.fleet.agreement import SILENT, Letter, Message, digest, on_clock
 from airpuck.fleet.pilot import FleetPilot, Sighting, sighted
 from airpuck.fleet.scenario import Fleet
 from airpuck.flight.loop import Action
-from airpuck.live.fly import fly_live
+from airpuck.live.fly import Spectator, fly_live
 from airpuck.live.graph import SENSOR
 from airpuck.live.process import Inbox, MessageOutbox, MessageTopic, Process, well_formed
 from airpuck.live.safety import SafetyLimits, within_rails
@@ -32,7 +31,7 @@ _NOTICE = 1.0
 _AT_START, _STEADY = 0.05, 0.5
 
 
-class FleetOnGraph(Result):
+class FleetOnGraph(Result, Spectator):
     """Connects the pilot of a craft with the others; a `airpuck.live.fly.Spectator`.
 
     The first craft of the scenario says when the flight begins, once all are ready at their starts.
@@ -64,9 +63,6 @@ class FleetOnGraph(Result):
             name: Inbox(process.with_topics(self._topics.within(name)), "pose", quiet=True)
             for name in self._others
         }
-
-    def measured(self, measurement: Measurement) -> None:
-        """Do nothing: the pilot gets the poses of its craft."""
 
     def after(self, action: Action) -> None:
         """Receive what has arrived; see `airpuck.live.fly.Spectator`."""

@@ -10,7 +10,7 @@ import sys
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -170,25 +170,21 @@ def preflight_live(
     return judge_test(pilot, model)
 
 
-@runtime_checkable
-class Spectator(Protocol):
-    """Observes a flight while it runs; it must not delay the loop."""
+class Spectator:
+    """Observes a flight while it runs; it must not delay the loop. The base does nothing."""
 
     def begin(self, process: Process, pilot: Pilot) -> None:
         """Receive the flight's participants, before time begins."""
-        ...
 
     def measured(self, measurement: Measurement) -> None:
         """Receive a pose of the craft or another body."""
-        ...
 
     def after(self, action: Action) -> None:
         """Run once a period, after its command was sent."""
-        ...
 
     def to_json(self) -> dict[str, Any]:
         """Return results for ``--json``."""
-        ...
+        return {}
 
 
 class GraphLink:

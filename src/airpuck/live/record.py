@@ -46,9 +46,8 @@ class _Topic:
 class Heard:
     """A received message."""
 
-    #: ROS names.
-    topic: str
-    msgtype: str
+    #: The first publisher on its topic.
+    first: Endpoint
     #: Times of arrival and of sending [ns since the epoch].
     received_ns: int
     sent_ns: int
@@ -71,16 +70,12 @@ class Listener:
         self._refused: set[tuple[str, str]] = set()
         self._look = Every(_LOOK)
 
-    def topic(self, name: str) -> Endpoint:
-        """Return the first publisher on a subscribed topic."""
-        return self._topics[name].first
-
     def listen(self, seconds: float) -> Iterator[Heard]:
         """Wait for messages, at most this long [s], and take them."""
         if self._look.begins(time.monotonic()):
             self._subscribe()
         self._graph.wait(min(seconds, _LOOK))
-        for name, topic in self._topics.items():
+        for topic in self._topics.values():
             earlier, topic.waiting = topic.waiting, []
             # While there were two subscriptions, both received.
             taken = earlier + [one for one in topic.subscription.take() if one not in earlier]
@@ -88,7 +83,7 @@ class Listener:
             # caller.
             received = time.time_ns()
             for sample in taken:
-                yield Heard(name, topic.first.msgtype, received, sample.sent_ns, sample.data)
+                yield Heard(topic.first, received, sample.sent_ns, sample.data)
 
     def _subscribe(self) -> None:
         """Subscribe to new topics, and lower the requested quality if a publisher offers less."""
@@ -178,13 +173,13 @@ def _record(process: Process, bag: BagFile, motors: tuple[str, ...]) -> dict[str
 def _take(listener: Listener, bag: BagFile, places: dict[str, int]) -> None:
     """Record new messages; `places` are the topics in the bag."""
     for heard in listener.listen(_WAIT):
-        if heard.topic not in places:
-            first = listener.topic(heard.topic)
-            places[heard.topic] = bag.add_topic(
-                heard.topic,
-                heard.msgtype,
+        first = heard.first
+        if first.topic not in places:
+            places[first.topic] = bag.add_topic(
+                first.topic,
+                first.msgtype,
                 listener.types,
                 best_effort=not first.reliable,
                 transient_local=first.transient_local,
             )
-        bag.add(places[heard.topic], heard.received_ns, heard.sent_ns, heard.data)
+        bag.add(places[first.topic], heard.received_ns, heard.sent_ns, heard.data)

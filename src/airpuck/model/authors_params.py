@@ -37,7 +37,7 @@ class _AuthorsValues(pydantic.BaseModel):
     configuration_matrix_SI: Matrix = pydantic.Field(alias="configuration_matrix")
 
 
-class _AuthorsSwitches(pydantic.BaseModel):
+class AuthorsSwitches(pydantic.BaseModel):
     """The authors' ``model``: the learned parameters."""
 
     thrust: bool = pydantic.Field(alias="learn_signal2thrust")
@@ -51,7 +51,7 @@ class _AuthorsSwitches(pydantic.BaseModel):
 class _AuthorsModel(pydantic.BaseModel):
     """The part of the authors' params.json that describes a model."""
 
-    model: _AuthorsSwitches
+    model: AuthorsSwitches
     model_params: _AuthorsValues
 
 

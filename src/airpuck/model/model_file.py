@@ -191,7 +191,22 @@ class Model:
     @property
     def delay_learned(self) -> bool:
         """Whether the transport delay was learned, as a continuous parameter."""
-        return bool(self.free[self.parameters.mask(frozenset({"transport_delay"}))].any())
+        return self.learns("transport_delay")
+
+    def learns(self, name: str) -> bool:
+        """Return whether an entry of a parameter was learned.
+
+        Parameters
+        ----------
+        name : str
+            Name of the parameter, such as ``inertia``.
+
+        Returns
+        -------
+        bool
+            Whether any of its entries was free in the fit.
+        """
+        return bool(self.free[self.parameters.mask(frozenset({name}))].any())
 
     def with_delay(self, transport_delay: float) -> Model:
         """Return the model with another transport delay.

@@ -24,14 +24,13 @@ from PIL import GifImagePlugin, Image
 
 from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
-from airpuck.boundary.outputs import replacing
+from airpuck.boundary.outputs import rendered, replacing
 from airpuck.craft.table import AirHockey, Table
 from airpuck.craft.vehicle import Vehicle, default_vehicle
 from airpuck.flight.loop import FlightLog
 from airpuck.recording.stream import Recording
 from airpuck.report import scene as moments
 from airpuck.report import style
-from airpuck.report.page import render
 from airpuck.report.scene import PAUSE, TABLE, FlightScene, Frames, GameScene, read_scene
 
 #: Most frames of a GIF; more would take hundreds of megabytes.
@@ -449,4 +448,4 @@ def moving_drawing(
         places = [f"{x:.3f} {-y:.3f}" for x, y in zip(x, y, strict=True)]
         drawn.append((one, places, [f"{-a:.0f}" for a in np.degrees(yaw)]))
     shown = {"moving": drawn, "discs": discs, "seconds": len(times) / RATE}
-    return render("moving.svg.jinja", table=table, floor=style.FLOOR, rail=style.RAIL, **shown)
+    return rendered("moving.svg.jinja", table=table, floor=style.FLOOR, rail=style.RAIL, **shown)

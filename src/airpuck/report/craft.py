@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Literal
-
 import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Arc, Circle, Wedge
 
+from airpuck.boundary.outputs import packaged_text
 from airpuck.craft.vehicle import Vehicle
 from airpuck.physics.rigid_body import wrapped
 from airpuck.report import style
-from airpuck.report.page import PageSection, Picture, packaged_text
+from airpuck.report.page import PageSection, Picture
 
 #: Largest spread of radii or half-angles that share one annotation [m, rad].
 _SAME_RADIUS, _SAME_ANGLE = 1e-4, 2e-3
@@ -29,13 +28,6 @@ def actuator_words(vehicle: Vehicle) -> str:
     noun = "on/off thruster" if "on_off" in actuation.kinds else "propeller"
     counts = (len(vehicle.propellers), noun), (len(actuation.wheels), "wheel")
     return ", ".join(f"{n} {noun}{'' if n == 1 else 's'}" for n, noun in counts if n)
-
-
-def draw_craft(vehicle: Vehicle, suffix: str) -> bytes:
-    """Draw a craft in the format of a suffix: ``.svg``, ``.png`` or ``.pdf``."""
-    formats: dict[str, Literal["svg", "png", "pdf"]]
-    formats = {".svg": "svg", ".png": "png", ".pdf": "pdf"}
-    return style.drawn(craft_figure(vehicle), formats[suffix])
 
 
 def craft_section(vehicle: Vehicle) -> PageSection:

@@ -192,22 +192,17 @@ def _prediction_section(judged: JudgedModels, table: PageTable | None) -> PageSe
     )
     shares = error_distribution_figure(evaluations)
     curves = horizon_figure(evaluations, judged.reference, label)
+    names = [f"{e.model}, {label}" for e in judged.reference] + [e.model for e in evaluations]
+    shown = [*judged.reference, *evaluations]
+    tables = error_tables(names, shown, judged.trajectory, judged.faults)
     blocks = (
         Text([_protocol_words(evaluations[0])]),
         *((table,) if table else ()),
-        *_error_tables(judged),
+        *tables,
         Picture("horizon", curves, horizon),
         Picture("error_distribution", shares, distribution),
     )
     return PageSection("prediction", "Prediction error", blocks)
-
-
-def _error_tables(judged: JudgedModels) -> tuple[PageTable, PageTable]:
-    """Tabulate the errors of all models."""
-    names = [f"{e.model}, {judged.reference_label}" for e in judged.reference]
-    names += [e.model for e in judged.evaluations]
-    shown = (*judged.reference, *judged.evaluations)
-    return error_tables(names, shown, judged.trajectory, judged.faults)
 
 
 def _timeline_section(judged: JudgedModels) -> PageSection:

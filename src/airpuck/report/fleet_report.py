@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
@@ -27,8 +26,6 @@ from airpuck.report.page import Origin, PageSection, PageTable, Picture, Text, w
 _COLORS = (style.BLUE, style.VERMILLION, style.GREEN, style.PURPLE, style.ORANGE, style.SKY)
 #: Length of the trails of the animation [s].
 _TRAIL = 1.2
-#: Pixels per metre of the animation, and room around the table [m].
-_SCALE, _AROUND = 400, 0.04
 
 
 def fleet_report(
@@ -103,15 +100,25 @@ def _color(k: int) -> str:
 
 
 @style.styled
-def path_figure(flight: FleetFlight, fleet: Fleet) -> Figure:
-    """Draw all paths from above."""
-    figure = style.new_figure(style.PAGE_WIDTH, 4.6)
+def _scenery(fleet: Fleet) -> Figure:
+    """Draw the table and the obstacles from above."""
+    figure, table = style.new_figure(style.PAGE_WIDTH, 4.6), fleet.settings.table
     axes = figure.subplots()
-    table = fleet.settings.table
     axes.set(aspect="equal", xlabel="x [m]", ylabel="y [m]")
     x, y = 0.52 * table.length_m, 0.52 * table.width_m
     axes.set(xlim=(-x, x), ylim=(-y, y))
-    _draw_scenery(axes, fleet)
+    style.draw_rails(axes, table, facecolor=style.FLOOR, zorder=0)
+    for disc in fleet.scenario.obstacles:
+        place = disc.x_m, disc.y_m
+        axes.add_patch(Circle(place, disc.radius_m, fc=style.GREY, ec="none"))
+    return figure
+
+
+@style.styled
+def path_figure(flight: FleetFlight, fleet: Fleet) -> Figure:
+    """Draw all paths from above."""
+    figure = _scenery(fleet)
+    axes = figure.axes[0]
     for k, name in enumerate(flight.names):
         color, track, radius = _color(k), flight.poses[:, k], flight.radii[k]
         axes.plot(track[:, 0], track[:, 1], color=color, lw=1.6)
@@ -146,14 +153,6 @@ def gap_figure(flight: FleetFlight) -> Figure:
     return figure
 
 
-def _draw_scenery(axes: Axes, fleet: Fleet) -> None:
-    """Draw the table and the obstacles."""
-    style.draw_rails(axes, fleet.settings.table, facecolor=style.FLOOR, zorder=0)
-    for disc in fleet.scenario.obstacles:
-        place = disc.x_m, disc.y_m
-        axes.add_patch(Circle(place, disc.radius_m, fc=style.GREY, ec="none"))
-
-
 def fleet_animation(flight: FleetFlight, fleet: Fleet) -> str:
     """Return the flight as an animated SVG, which repeats."""
     moving = []
@@ -164,23 +163,9 @@ def fleet_animation(flight: FleetFlight, fleet: Fleet) -> str:
     return moving_drawing(fleet.settings.table, moving, discs)
 
 
-@style.styled
-def _canvas(fleet: Fleet) -> Figure:
-    """Return an empty picture of the table."""
-    table = fleet.settings.table
-    width, height = (side + 2 * _AROUND for side in (table.length_m, table.width_m))
-    figure = Figure(figsize=(width * _SCALE / 100, height * _SCALE / 100), dpi=100)
-    FigureCanvasAgg(figure)
-    axes = figure.add_axes((0, 0, 1, 1))
-    axes.set(xlim=(-width / 2, width / 2), ylim=(-height / 2, height / 2))
-    axes.axis("off")
-    _draw_scenery(axes, fleet)
-    return figure
-
-
 def write_fleet_gif(flight: FleetFlight, fleet: Fleet, path: str | os.PathLike[str]) -> None:
     """Write the flight as an animated GIF, in real time."""
-    figure, times = _canvas(fleet), np.arange(flight.time[0], flight.time[-1], 1 / RATE)
+    figure, times = _scenery(fleet), np.arange(flight.time[0], flight.time[-1], 1 / RATE)
     rows = np.minimum(np.searchsorted(flight.time, times), len(flight.time) - 1)
     moving = [partial(_moving, figure.axes[0], flight, fleet, row) for row in rows.tolist()]
     with replacing(path) as temporary:

@@ -8,11 +8,10 @@ import re
 import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from airpuck.boundary.outputs import replacing
+from airpuck.boundary.outputs import packaged_text, rendered, replacing
 from airpuck.model.quantities import QUANTITIES
 from airpuck.model.rungs import RUNGS
 from airpuck.report.style import drawn
@@ -126,10 +125,9 @@ def write_page(
                 temporary.write_bytes(content)
     # The answer stands before the contents.
     answers = sum(section.anchor == "summary" for section in sections[:1])
-    content = {"title": title, "lead": lead, "sections": sections, "origin": origin}
-    page = render(
-        "report.html.jinja", **content, images=images, answers=answers, words=_words(lead, sections)
-    )
+    shown = {"title": title, "lead": lead, "sections": sections, "origin": origin}
+    extras = {"answers": answers, "words": _words(lead, sections), "with_code": _with_code}
+    page = rendered("report.html.jinja", **shown, **extras, images=images)
     path = folder / "index.html"
     with replacing(path) as temporary:
         temporary.write_text(page, encoding="utf-8")
@@ -160,28 +158,9 @@ def _texts(block: Block) -> list[str]:
     return [block.caption, *block.headings, *(row[0] for row in block.rows)]
 
 
-def packaged_text(name: str) -> str:
-    """Read a text file of the package."""
-    return (resources.files("airpuck") / "packaged" / name).read_text("utf-8")
-
-
 def _with_code(text: str) -> Any:
     """Escape a text, and set what stands between backticks as code."""
     import markupsafe
 
-    pieces = [markupsafe.escape(piece) for piece in text.split("`")]
-    if len(pieces) % 2 == 0:
-        return markupsafe.escape(text)
-    code = [f"<code>{piece}</code>" if k % 2 else str(piece) for k, piece in enumerate(pieces)]
-    return markupsafe.Markup("".join(code))
-
-
-def render(template: str, **values: Any) -> str:
-    """Fill in a template of the package; values are escaped."""
-    import jinja2
-
-    environment = jinja2.Environment(
-        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
-    environment.filters["code"] = _with_code
-    return environment.from_string(packaged_text(template)).render(**values)
+    escaped = str(markupsafe.escape(text))
+    return markupsafe.Markup(re.sub("`([^`]*)`", r"<code>\1</code>", escaped))

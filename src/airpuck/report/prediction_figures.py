@@ -197,8 +197,9 @@ def _draw_faults(axes: Axes, faults: Sequence[Span], causes: Sequence[str]) -> N
         look = {"color": color, "lw": 1.5, "alpha": _FAINTEST + (1 - _FAINTEST) * span.confidence}
         axes.broken_barh([(span.start, span.stop - span.start)], (row - 0.35, 0.7), **look)
         if span.confidence < 1:
-            small = {"va": "center", "fontsize": 6.5, "color": style.GREY}
-            style.note(axes, span.certainty, (span.stop, row), (3, 0), **small)
+            place: Any = {"xytext": (3, 0), "textcoords": "offset points", "va": "center"}
+            look = {"fontsize": 6.5, "color": style.GREY}
+            axes.annotate(span.certainty, (span.stop, row), **place, **look)
     axes.set_yticks(range(len(causes)), causes)
     axes.set_ylim(len(causes) - 0.4, -0.6)
     axes.grid(visible=False, axis="y")

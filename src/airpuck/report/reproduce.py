@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from airpuck.boundary.errors import InputError
-from airpuck.boundary.outputs import replacing
+from airpuck.boundary.outputs import packaged_text, replacing
 from airpuck.compute.process import usable_cores
 from airpuck.data.trajectory import Span, Trajectory
 from airpuck.evaluation.evaluate import Evaluation, compare
@@ -37,15 +37,7 @@ from airpuck.report.craft import craft_section
 from airpuck.report.evaluation_report import JudgedModels, judged_sections, sources_section
 from airpuck.report.fit_figures import ladder_table
 from airpuck.report.fit_report import FitStudy, fit_report, study_sections
-from airpuck.report.page import (
-    Origin,
-    PageSection,
-    PageTable,
-    Picture,
-    Text,
-    packaged_text,
-    write_page,
-)
+from airpuck.report.page import Origin, PageSection, PageTable, Picture, Text, write_page
 from airpuck.report.prediction_figures import WORST, squares_held, worst_windows
 from airpuck.report.tables import errors_as_text
 from airpuck.twin.experiments import excite

@@ -114,10 +114,11 @@ def drawn(figure: Figure, suffix: Literal["png", "pdf", "svg"]) -> bytes:
     return buffer.getvalue()
 
 
-def write_png(figure: Figure, path: str | os.PathLike[str]) -> None:
-    """Write a figure as a PNG file."""
+def write_figure(figure: Figure, path: str | os.PathLike[str]) -> None:
+    """Write a figure as PDF or SVG if its name ends so, otherwise as PNG."""
+    formats: dict[str, Literal["pdf", "svg"]] = {".pdf": "pdf", ".svg": "svg"}
     with replacing(path) as temporary:
-        temporary.write_bytes(drawn(figure, "png"))
+        temporary.write_bytes(drawn(figure, formats.get(temporary.suffix, "png")))
 
 
 def model_colors(names: Iterable[str]) -> dict[str, str]:
@@ -191,13 +192,6 @@ def draw_arrow(
     """Draw an arrow from one point to another."""
     look = {"shrinkA": 0, "shrinkB": 0, "color": BLACK, **look}
     axes.annotate("", end, start, arrowprops=look, annotation_clip=False, zorder=5)
-
-
-def note(
-    axes: Axes, text: str, at: tuple[float, float], offset: tuple[float, float], **look: Any
-) -> None:
-    """Write a text at an offset in points from a place."""
-    axes.annotate(text, at, xytext=offset, textcoords="offset points", **look)
 
 
 def key(label: str, color: str = BLACK, **line: Any) -> Line2D:

@@ -10,11 +10,11 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float
 
+from airpuck.boundary.outputs import packaged_text, rendered
 from airpuck.craft.table import AirHockey
 from airpuck.craft.vehicle import Vehicle
 from airpuck.report import scene as moments
 from airpuck.report import style
-from airpuck.report.page import packaged_text, render
 from airpuck.report.scene import PAUSE, DiscPath, FlightScene, GameScene, PlannedPath
 
 #: Colours of the canvas on light and on dark pages; there the craft stays white and the puck is
@@ -84,7 +84,7 @@ def write_animation_page(scene: FlightScene, path: Path, *, speed: float) -> Non
 
     x0, x1, y0, y1 = scene.view
     flight = json.dumps(flight_data(scene), separators=(",", ":"), allow_nan=False)
-    page = render(
+    page = rendered(
         "animation.html.jinja",
         craft=scene.vehicle.name,
         recording=scene.name,

@@ -168,10 +168,8 @@ class GameEnv(ParallelEnv[str, Observation, np.ndarray]):
         self.agents = [] if over else playing
         rewards = {"left": float(left - right), "right": float(right - left)}
         infos = {name: {"score": game.score[::-side]} for name, side in _SIDES.items()}
-        terminated, truncated = (
-            dict.fromkeys(playing, over and won),
-            dict.fromkeys(playing, over and not won),
-        )
+        terminated = dict.fromkeys(playing, over and won)
+        truncated = dict.fromkeys(playing, over and not won)
         return self._observations(), rewards, terminated, truncated, infos
 
     def render(self) -> np.ndarray | None:  # pyright: ignore[reportIncompatibleMethodOverride]

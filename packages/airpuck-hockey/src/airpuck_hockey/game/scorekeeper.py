@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck import AirHockey, Measurement, Pilot, PuckState
-from airpuck.extend import Action, Process, numbers
+from airpuck.extend import Action, Process, Spectator, numbers
 from airpuck_hockey.game.rules import Referee, Rules, Ruling
 from airpuck_hockey.puck.prediction import goal_within
 from airpuck_hockey.puck.puck_filter import PuckFilter
@@ -235,7 +235,7 @@ _SAID = {
 }
 
 
-class Score:
+class Score(Spectator):
     """Keeps the score of a flight that plays, and reports changes; a `Spectator`."""
 
     def __init__(self, equipment: AirHockey) -> None:

@@ -42,8 +42,6 @@ _GRAZING = 0.95
 #: Uncertain numbers of a shot: the puck's state (6), the craft's place and velocity (2, 2),
 #: restitution and grip of the contact and of the rails (2, 2).
 _DIMENSIONS = 14
-#: Iterations of the fixed point of `_plastic`; each halves the error.
-_ITERATIONS = 50
 #: Standard deviations of restitution and grip of contacts with the craft, which are not identified.
 _RESTITUTION, _GRIP = 0.03, 0.1
 
@@ -197,17 +195,10 @@ def _passes(
 @cache
 def _quantiles(count: int, dimensions: int) -> Float[np.ndarray, "n d"]:
     """Return points that fill a standard normal distribution evenly: a rank-one lattice."""
-    generator = np.array([1.0 / _plastic(dimensions) ** (k + 1) for k in range(dimensions)])
-    points = (0.5 + np.arange(1, count + 1)[:, None] * generator) % 1.0
+    # Powers of the root of x^(d+1) = x + 1 spread best (Roberts 2018).
+    root = np.roots([1, *[0] * (dimensions - 1), -1, -1]).real.max()
+    points = (0.5 + np.outer(np.arange(1, count + 1), root ** -np.arange(1, dimensions + 1))) % 1.0
     return ndtri(points)
-
-
-def _plastic(dimensions: int) -> float:
-    """Return the root of x^(d+1) = x + 1, whose powers spread best (Roberts 2018)."""
-    x = 2.0
-    for _ in range(_ITERATIONS):
-        x = (1 + x) ** (1 / (dimensions + 1))
-    return x
 
 
 @dataclass(frozen=True)

@@ -81,17 +81,36 @@ def find_flights(
     drag: float,
 ) -> list[Flight]:
     """Split poses where the puck met something; single outlying frames are excluded."""
+
+    def continues(kept: list[int], i: int) -> bool:
+        """Return whether a pose continues a flight."""
+        if kept and time[i] - time[kept[-1]] > _GAP:
+            return False
+        if len(kept) < 3:
+            return True
+        last = kept[-_LOOK_BACK:]
+        # The latest first, so that σ is small.
+        sigma = np.expm1(-drag * (time[last] - time[i])) / -drag
+        middle, here = sigma.mean(), pose[last, :2].mean(axis=0)
+        around = sigma - middle
+        spread = around @ around
+        speed = around @ (pose[last, :2] - here) / spread
+        off = pose[i, :2] - (here - speed * middle)
+        deviation = noise[0] * np.sqrt(1 + 1 / len(last) + middle**2 / spread)
+        bend = _DRAG_MARGIN * np.hypot(*speed) * (time[i] - time[last[0]]) ** 2 / 2
+        return bool(np.hypot(*off) < _GATE * deviation + bend)
+
     flights, kept = [], list[int]()
     for i in range(len(time)):
-        fits = _continues(time, pose, noise[0], drag, kept, i)
+        fits = continues(kept, i)
         off = not fits and i + 1 < len(time) and len(kept) >= _LOOK_BACK
-        if off and _continues(time, pose, noise[0], drag, kept, i + 1):
+        if off and continues(kept, i + 1):
             continue  # one outlying frame; the next one continues the flight
         if not fits:
             # With too few frames, the oldest may be from before a contact.
             if len(kept) < _LOOK_BACK and kept and time[i] - time[kept[-1]] < _GAP:
                 kept = kept[1:]
-                while kept and not _continues(time, pose, noise[0], drag, kept, i):
+                while kept and not continues(kept, i):
                     kept = kept[1:]
             else:
                 flights.append(kept)
@@ -101,32 +120,6 @@ def find_flights(
     # The frames next to a contact may be affected by it.
     trimmed = [indices[1:-1] for indices in flights]
     return [Flight(time[found], pose[found]) for found in trimmed if len(found) >= LEAST]
-
-
-def _continues(
-    time: Float[np.ndarray, " N"],
-    pose: Float[np.ndarray, "N 3"],
-    noise: float,
-    drag: float,
-    kept: list[int],
-    i: int,
-) -> bool:
-    """Return whether a pose continues a flight."""
-    if kept and time[i] - time[kept[-1]] > _GAP:
-        return False
-    if len(kept) < 3:
-        return True
-    last = kept[-_LOOK_BACK:]
-    # The latest first, so that σ is small.
-    sigma = np.expm1(-drag * (time[last] - time[i])) / -drag
-    middle, here = sigma.mean(), pose[last, :2].mean(axis=0)
-    around = sigma - middle
-    spread = around @ around
-    speed = around @ (pose[last, :2] - here) / spread
-    off = pose[i, :2] - (here - speed * middle)
-    deviation = noise * np.sqrt(1 + 1 / len(last) + middle**2 / spread)
-    bend = _DRAG_MARGIN * np.hypot(*speed) * (time[i] - time[last[0]]) ** 2 / 2
-    return bool(np.hypot(*off) < _GATE * deviation + bend)
 
 
 def fit_flights(

@@ -9,7 +9,16 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck import AirHockey, Measurement, Model, Pilot
-from airpuck.extend import Action, Every, MeasurementKind, Outbox, Pages, Process, packed_state
+from airpuck.extend import (
+    Action,
+    Every,
+    MeasurementKind,
+    Outbox,
+    Pages,
+    Process,
+    Spectator,
+    packed_state,
+)
 from airpuck_hockey.game.scorekeeper import NAMES, Score
 from airpuck_hockey.player.player import Player
 from airpuck_hockey.web.page import hello_of, thought_of
@@ -27,7 +36,7 @@ def live_hello(model: Model, equipment: AirHockey) -> dict[str, Any]:
     return hello_of(model, equipment) | {"live": True, "levels": [], "names": NAMES}
 
 
-class LivePage:
+class LivePage(Spectator):
     """Shows a player's flight on the pages, and sends their targets for the mallet; a `Spectator`.
 
     A page plays only if the process that publishes the poses of the mallet also subscribes to the
@@ -70,10 +79,6 @@ class LivePage:
             self._process.events.log("warning", "the page server has ended; the flight continues")
         if self._wanted is not None and self._plays:
             self._targets.send((*self._wanted, 0.0))
-
-    def to_json(self) -> dict[str, Any]:
-        """Return no figures; see `Spectator`."""
-        return {}
 
     def _hear(self) -> None:
         """Process the pages' requests."""
