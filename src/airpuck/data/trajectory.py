@@ -21,6 +21,8 @@ from airpuck.data.sampling import bridged, hold, mean_hold, runs, spaced, usual_
 
 #: Format of the file; others are rejected.
 FORMAT = "airpuck trajectory 1"
+#: Arrays in a file besides the times, ``t``.
+_SAVED = ("state", "input", "acceleration", "command_time", "command", "lost")
 
 #: A command may lie outside [0, 1] by rounding.
 _ROUNDING = 1e-9
@@ -417,17 +419,8 @@ class Trajectory:
             "vehicle": self.vehicle and self.vehicle.model_dump(mode="json"),
         }
         with replacing(path) as temporary, temporary.open("wb") as file:
-            np.savez_compressed(
-                file,
-                t=self.time,
-                state=self.state,
-                input=self.input,
-                acceleration=self.acceleration,
-                command_time=self.command_time,
-                command=self.command,
-                lost=self.lost,
-                about=np.array(json.dumps(about)),
-            )
+            arrays = {name: getattr(self, name) for name in _SAVED}
+            np.savez_compressed(file, t=self.time, **arrays, about=np.array(json.dumps(about)))
 
 
 def as_trajectories(given: Any) -> list[Trajectory]:
