@@ -14,7 +14,7 @@ from airpuck.evaluation.innovations import (
     free_run,
     innovations,
     most_likely_noise,
-    speed_before,
+    motor_speeds_at,
 )
 from airpuck.model.model_file import published_model
 
@@ -40,7 +40,7 @@ def test_intervals_are_split_where_commands_change():
 
 def test_motors_follow_all_commands_before_the_first_pose():
     events, command, tau = np.array([0.0, 0.1]), np.array([[0.2], [0.8]]), 0.05
-    speed = speed_before(0.15, events, command, tau, None)
+    [speed] = motor_speeds_at(np.array([0.15]), events, command, tau)
     np.testing.assert_allclose(speed, 0.8 - 0.6 * np.exp(-0.05 / tau))
 
 

@@ -60,7 +60,8 @@ def test_filter_and_directions_share_the_motors_of_a_model_with_idle_lag():
     model = replace(TRUTH, parameters=parameters, free=np.zeros(len(parameters.to_vector()), bool))
     flight = noisy(duration=2.0, seed=4)
     lag = float(model.parameters.motor_time_constant), model.parameters.idle_lag
-    speeds = motor_speeds_at(flight, delay_for(model, flight), *lag)
+    acts = flight.command_time + delay_for(model, flight)
+    speeds = motor_speeds_at(flight.time, acts, flight.command, *lag)
     np.testing.assert_allclose(speeds, innovations(model, flight).motor_speed, atol=1e-9)
 
 

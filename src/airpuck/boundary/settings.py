@@ -8,7 +8,7 @@ import re
 import sys
 import types
 import typing
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields
 from functools import cache
 from inspect import get_annotations
@@ -222,7 +222,13 @@ def declared(kind: type) -> tuple[Declared, ...]:
     for base in reversed(kind.__mro__):
         names = _Names(vars(sys.modules[base.__module__]))
         hints |= get_annotations(base, eval_str=True, locals=names)
-    return tuple(_declared(kind, hints))
+    found = []
+    for field in fields(kind):
+        if (setting := setting_of(hints[field.name])) is not None:
+            made = field.default_factory
+            default = field.default if made is MISSING else made()
+            found.append(Declared(field.name, undressed(hints[field.name]), setting, default))
+    return tuple(found)
 
 
 class _Names(dict[str, Any]):
@@ -230,15 +236,6 @@ class _Names(dict[str, Any]):
 
     def __missing__(self, name: str) -> Any:
         return getattr(builtins, name, Any)
-
-
-def _declared(kind: Any, hints: dict[str, Any]) -> Iterator[Declared]:
-    for field in fields(kind):
-        setting = setting_of(hints[field.name])
-        if setting is not None:
-            made = field.default_factory
-            default = field.default if made is MISSING else made()
-            yield Declared(field.name, undressed(hints[field.name]), setting, default)
 
 
 def setting_of(annotation: Any) -> Setting | None:

@@ -16,6 +16,7 @@ from airpuck.boundary.arguments import numbers_of
 from airpuck.boundary.errors import InputError, about
 from airpuck.boundary.extensions import UserCode
 from airpuck.boundary.files import Section, read_toml
+from airpuck.boundary.numbers import check_finite
 from airpuck.boundary.results import Brief
 
 #: A little over three turns; the largest yaw that may be requested at once [rad].
@@ -126,10 +127,7 @@ class SetPoint:
     yaw: float
 
     def __post_init__(self) -> None:
-        for name in ("x", "y", "yaw"):
-            value = getattr(self, name)
-            if not isinstance(value, Real) or not math.isfinite(value):
-                raise InputError(f"must be a finite number, not {value!r}", field=name)
+        check_finite(x=self.x, y=self.y, yaw=self.yaw)
         if max(abs(self.x), abs(self.y), abs(self.yaw)) > _FARTHEST:
             raise _too_far("setpoint")
 

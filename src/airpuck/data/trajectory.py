@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from airpuck.boundary.errors import InputError
+from airpuck.boundary.arguments import numbers_of
+from airpuck.boundary.errors import InputError, about
 from airpuck.boundary.numbers import check_finite
 from airpuck.boundary.outputs import replacing
 from airpuck.boundary.results import html_table
@@ -21,6 +22,8 @@ from airpuck.data.sampling import bridged, hold, mean_hold, runs, spaced, usual_
 
 #: Format of the file; others are rejected.
 FORMAT = "airpuck trajectory 1"
+#: Arrays in a file besides the times, ``t``.
+_SAVED = ("state", "input", "acceleration", "command_time", "command", "lost")
 
 #: A command may lie outside [0, 1] by rounding.
 _ROUNDING = 1e-9
@@ -134,38 +137,31 @@ class Trajectory:
 
     def __post_init__(self) -> None:
         samples, commands = np.size(self.time), np.size(self.command_time)
-        for name, kind in {"propellers": str, "excluded": Span}.items():
-            given = getattr(self, name)
-            if not (isinstance(given, tuple) and all(isinstance(one, kind) for one in given)):
-                problem = f"must be a tuple of {kind.__name__}"
-                raise InputError(problem, file=self.source, field=name)
         shapes = {
-            "time": (samples,),
+            "time": (None,),
             "state": (samples, 6),
             "acceleration": (samples, 3),
-            "command_time": (commands,),
-            "command": (commands, len(self.propellers)),
-            "lost": np.shape(self.lost)[:1],
+            "command_time": (None,),
+            "command": (commands, np.size(self.propellers)),
+            "lost": (None,),
         }
-        for name, shape in shapes.items():
-            array = np.asarray(getattr(self, name))
-            if array.dtype.kind not in "fiu":
-                raise InputError("must hold numbers", file=self.source, field=name)
-            if not np.isfinite(array).all():
-                raise InputError("must be finite numbers", file=self.source, field=name)
-            if array.shape != shape:
-                raise InputError(f"must have the shape {shape}", file=self.source, field=name)
-        check_finite(delay=self.delay)
-        for name, least in {"time": 2, "command_time": 1}.items():
-            if np.size(getattr(self, name)) < least:
-                problem = f"must have {least} entries or more"
-                raise InputError(problem, file=self.source, field=name)
-        if (np.diff(self.time) <= 0).any():
-            raise InputError("must increase", file=self.source, field="time")
-        if (np.diff(self.command_time) < 0).any():
-            raise InputError("must not decrease", file=self.source, field="command_time")
-        if (np.abs(np.asarray(self.command) - 0.5) > 0.5 + _ROUNDING).any():
-            raise InputError("must be in [0, 1]", file=self.source, field="command")
+        with about(self.source):
+            for name, kind in {"propellers": str, "excluded": Span}.items():
+                given = getattr(self, name)
+                if not (isinstance(given, tuple) and all(isinstance(one, kind) for one in given)):
+                    raise InputError(f"must be a tuple of {kind.__name__}", field=name)
+            for name, shape in shapes.items():
+                numbers_of(getattr(self, name), shape, name)
+            check_finite(delay=self.delay)
+            for name, least in {"time": 2, "command_time": 1}.items():
+                if np.size(getattr(self, name)) < least:
+                    raise InputError(f"must have {least} entries or more", field=name)
+            if (np.diff(self.time) <= 0).any():
+                raise InputError("must increase", field="time")
+            if (np.diff(self.command_time) < 0).any():
+                raise InputError("must not decrease", field="command_time")
+            if (np.abs(np.asarray(self.command) - 0.5) > 0.5 + _ROUNDING).any():
+                raise InputError("must be in [0, 1]", field="command")
 
     def __len__(self) -> int:
         return len(self.time)
@@ -417,17 +413,8 @@ class Trajectory:
             "vehicle": self.vehicle and self.vehicle.model_dump(mode="json"),
         }
         with replacing(path) as temporary, temporary.open("wb") as file:
-            np.savez_compressed(
-                file,
-                t=self.time,
-                state=self.state,
-                input=self.input,
-                acceleration=self.acceleration,
-                command_time=self.command_time,
-                command=self.command,
-                lost=self.lost,
-                about=np.array(json.dumps(about)),
-            )
+            arrays = {name: getattr(self, name) for name in _SAVED}
+            np.savez_compressed(file, t=self.time, **arrays, about=np.array(json.dumps(about)))
 
 
 def as_trajectories(given: Any) -> list[Trajectory]:

@@ -63,20 +63,9 @@ def read_trajectory(path: str | os.PathLike[str]) -> Trajectory:
             "again",
             file=path,
         )
-    known = checked(about, _About, file=path)
+    rest = dict(checked(about, _About, file=path))
     try:
-        return Trajectory(
-            time=arrays.pop("t"),
-            **arrays,
-            propellers=known.propellers,
-            delay=known.delay_s,
-            delay_known=known.delay_known,
-            excluded=known.excluded,
-            source=known.source,
-            hashes=known.hashes,
-            warnings=known.warnings,
-            vehicle=known.vehicle,
-        )
+        return Trajectory(time=arrays.pop("t"), delay=rest.pop("delay_s"), **arrays, **rest)
     except InputError as error:
         # The file is at fault, not the recording that it was made from.
         problem = f"{error.problem}; preprocess the recording again"
@@ -84,11 +73,10 @@ def read_trajectory(path: str | os.PathLike[str]) -> Trajectory:
 
 
 class _About(Section):
-    """Metadata of a trajectory's file, besides arrays; fields of later versions are ignored."""
+    """Metadata of a trajectory's file, besides its format; fields of later versions are ignored."""
 
     model_config = pydantic.ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
 
-    format: str
     delay_s: float
     delay_known: bool
     propellers: tuple[str, ...]

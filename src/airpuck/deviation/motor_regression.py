@@ -51,8 +51,8 @@ def with_effectiveness(dynamics: Dynamics, effectiveness: Float[np.ndarray, "n B
 
 
 def accelerations_by_motor(
-    dynamics: Dynamics, state: Float[np.ndarray, "E z B"], speed: Float[np.ndarray, "E n B"]
-) -> tuple[Float[np.ndarray, "E 3 n B"], Float[np.ndarray, "E 3 B"]]:
+    dynamics: Dynamics, state: Float[np.ndarray, "E z *B"], speed: Float[np.ndarray, "E n *B"]
+) -> tuple[Float[np.ndarray, "E 3 n *B"], Float[np.ndarray, "E 3 *B"]]:
     """Return each motor's accelerations along measured states, and the remaining accelerations."""
     motion = motion_of(dynamics, state)
     by_motor, rest = motor_accelerations(np, dynamics, motion, np.moveaxis(speed, 1, 0))

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -110,11 +110,8 @@ class ActuationEncoder:
     priors: tuple[EffectivenessPrior, ...] = PRIORS
     tail: float = 8.0
     tempering: float = 0.3
-
-    @property
-    def name(self) -> str:
-        """The encoder's name on the command line."""
-        return "actuation"
+    #: The encoder's name on the command line.
+    name: ClassVar[str] = "actuation"
 
     @property
     def causal(self) -> bool:

@@ -190,25 +190,19 @@ class _Again:
         for fault in found.faults:
             if fault.owner not in known:
                 gain[:, self._touched(fault)] = 0.0
-        errors = np.empty((3, len(windows)))
+        errors, trajectory = np.empty((3, len(windows))), windows.trajectories[0]
+        speed = motor_speeds(trajectory.time, windows.input, dynamics.lag, dynamics.idle_lag)
         for length, part in batches(self.past):
             starts = windows.starts[part]
             state, now = self.encoder.begin(dynamics, windows.past(starts, length))
-            if "start" in known:
-                state = self._known_start(dynamics, windows, part)
+            if "start" in known:  # smoothed states, and motor speeds from all commands before
+                present = windows.present[part]
+                state = np.concatenate([trajectory.state[present], speed[present]], axis=1).T
             now = _with_gain(now, dynamics, gain[:, part])
             commands, durations, measured = windows.future(starts)
             errors[:, part] = rollout(np, now, state, commands, durations)[-1, :3]
             errors[:, part] -= measured[-1, :3]
         return errors
-
-    def _known_start(
-        self, dynamics: Dynamics, windows: Windows, part: Int[np.ndarray, " B"]
-    ) -> Float[np.ndarray, "z B"]:
-        """Return smoothed states, and motor speeds from all commands before."""
-        trajectory, present = windows.trajectories[0], windows.present[part]
-        speed = motor_speeds(trajectory.time, windows.input, dynamics.lag, dynamics.idle_lag)
-        return np.concatenate([trajectory.state[present], speed[present]], axis=1).T
 
     def _touched(self, fault: KnownFault) -> Bool[np.ndarray, " W"]:
         """Mark the windows that overlap a fault, or the motors' recovery from it."""

@@ -122,11 +122,8 @@ class Increments:
     ) -> None:
         self.dynamics, self.trajectory, self.held = dynamics, trajectory, held
         self.speed = motor_speeds(trajectory.time, held, dynamics.lag, dynamics.idle_lag)
-        along = trajectory.state[..., None], self.speed[..., None]
-        by_motor, rest = accelerations_by_motor(dynamics, *along)
-        self.by_motor = by_motor[..., 0]
-        total = self.by_motor.sum(axis=2) + rest[..., 0]
-        self.residual = trajectory.state[:, 3:] - self.summed(total)
+        self.by_motor, rest = accelerations_by_motor(dynamics, trajectory.state, self.speed)
+        self.residual = trajectory.state[:, 3:] - self.summed(self.by_motor.sum(axis=2) + rest)
 
     def summed(self, rate: Float[np.ndarray, "N *k"]) -> Float[np.ndarray, "N *k"]:
         """Integrate over time from the first sample on."""

@@ -24,12 +24,12 @@ from jaxtyping import Bool, Float, Int
 
 from airpuck.boundary.errors import InputError
 from airpuck.compute.compiled import for_samples
-from airpuck.data.sampling import spaced
+from airpuck.data.sampling import hold, spaced
 from airpuck.data.trajectory import Trajectory, check_propellers
 from airpuck.deviation.packet_delays import delay_for
 from airpuck.estimate.axis_filter import Noise, correct, process_noise, spread
 from airpuck.model.model_file import Model
-from airpuck.physics.motor import motor_step
+from airpuck.physics.motor import motor_speeds
 from airpuck.physics.rigid_body import register_pytrees, rollout
 
 #: Ranges of log₁₀ λ₁ and λ₂; the lower end means no noise.
@@ -312,18 +312,18 @@ def innovations(model: Model, trajectory: Trajectory, noise: Noise | None = None
 
 
 def motor_speeds_at(
-    trajectory: Trajectory, delay: float, lag: Any, idle_lag: float | None
+    time: Float[np.ndarray, " N"],
+    event_time: Float[np.ndarray, " K"],
+    command: Float[np.ndarray, "K n"],
+    *lag: Any,
 ) -> Float[np.ndarray, "N n"]:
-    """Let motors follow commands that act after a delay; return their speeds at each sample."""
-    acts = trajectory.command_time + delay
-    speed = speed_before(float(trajectory.time[0]), acts, trajectory.command, lag, idle_lag)
-    speeds = np.empty((len(trajectory), len(speed)))
-    durations, commands = cut_at_commands(trajectory.time, acts, trajectory.command)
-    for k in range(len(trajectory)):
-        for duration, held in zip(durations[k], commands[k], strict=True):
-            speed = motor_step(np, speed, held, duration, lag, idle_lag)
-        speeds[k] = speed
-    return speeds
+    """Let motors follow commands from their events on; return their speeds at given times.
+
+    The first command is assumed to have been in force before.
+    """
+    every = np.union1d(time, event_time)
+    speeds = motor_speeds(every, hold(event_time, command, every), *lag)
+    return speeds[np.searchsorted(every, time)]
 
 
 def free_run(
@@ -356,7 +356,7 @@ def _run_filter(
     if covariance is None:
         covariance = initial_covariance(np, squares[0], squares[2], trajectory.sample_period)
     lag = model.dynamics.lag, model.dynamics.idle_lag
-    speed = speed_before(float(time[0]), acts, trajectory.command, *lag)
+    speed = motor_speeds_at(time[:1], acts, trajectory.command, *lag)[0]
     pieces = cut_at_commands(time, acts, trajectory.command)
     steps = np.diff(time, prepend=time[0])
     inputs = (trajectory.state[:, :3], trajectory.measured, restart, begin, steps, *pieces)
@@ -418,21 +418,3 @@ def cut_at_commands(
     # Intervals after the last event keep its command.
     chosen = np.maximum.accumulate(chosen, axis=1)
     return durations, command[chosen]
-
-
-def speed_before(
-    time: float,
-    event_time: Float[np.ndarray, " K"],
-    command: Float[np.ndarray, "K n"],
-    time_constant: Any,
-    idle_lag: float | None,
-) -> Float[np.ndarray, " n"]:
-    """Let motors follow all commands before a given time."""
-    # The first command is assumed to have been in force before.
-    past = max(int(np.searchsorted(event_time, time, side="right")), 1)
-    begins = np.minimum(event_time[:past], time)
-    ends = np.append(event_time[1:past], time)
-    speed = command[0]
-    for held, begin, end in zip(command[:past], begins, ends, strict=True):
-        speed = motor_step(np, speed, held, end - begin, time_constant, idle_lag)
-    return speed

@@ -109,17 +109,18 @@ def _directions(
     model: Model, trajectory: Trajectory, found: Innovations
 ) -> Float[np.ndarray, "N 3 m 2"]:
     """Return the effects of delay, lag and motors on position and velocity over each step."""
-    now = _accelerations(model, trajectory, found.motor_speed)
-    delay, dynamics = delay_for(model, trajectory), model.dynamics
+    time, state, command = trajectory.time, trajectory.state, trajectory.command
+    acts, dynamics = trajectory.command_time + delay_for(model, trajectory), model.dynamics
     slow = replace(dynamics, motor_time_constant=dynamics.motor_time_constant + _STEP)
-    later = motor_speeds_at(trajectory, delay + _STEP, dynamics.lag, dynamics.idle_lag)
-    slower = motor_speeds_at(trajectory, delay, slow.lag, dynamics.idle_lag)
-    by_delay, by_lag = (
-        (_accelerations(model, trajectory, speed) - now).sum(axis=2, keepdims=True) / _STEP
-        for speed in (later, slower)
+    later = motor_speeds_at(time, acts + _STEP, command, dynamics.lag, dynamics.idle_lag)
+    slower = motor_speeds_at(time, acts, command, slow.lag, dynamics.idle_lag)
+    now, *changed = (
+        accelerations_by_motor(dynamics, state, speed)[0]
+        for speed in (found.motor_speed, later, slower)
     )
+    by_delay, by_lag = ((one - now).sum(axis=2, keepdims=True) / _STEP for one in changed)
     rates = np.concatenate([by_delay, by_lag - by_delay, now], axis=2)
-    return _over_steps(rates, np.diff(trajectory.time, prepend=trajectory.time[0]))
+    return _over_steps(rates, np.diff(time, prepend=time[0]))
 
 
 def _over_steps(
@@ -128,14 +129,6 @@ def _over_steps(
     """Integrate accelerations over each step: their effect on position and velocity."""
     before, h = np.concatenate([rates[:1], rates[:-1]]), steps[:, None, None]
     return np.stack([h**2 / 6 * (2 * before + rates), h / 2 * (before + rates)], axis=-1)
-
-
-def _accelerations(
-    model: Model, trajectory: Trajectory, speed: Float[np.ndarray, "N n"]
-) -> Float[np.ndarray, "N 3 n"]:
-    """Return each motor's acceleration along the measured motion."""
-    given = trajectory.state[..., None], speed[..., None]
-    return accelerations_by_motor(model.dynamics, *given)[0][..., 0]
 
 
 def _most_likely(

@@ -422,8 +422,13 @@ def identifiability_of(
     weakest = _main(vector[:, known][:, 0], labels) if rank else ()
     if condition > _POOR:
         notes.append(f"poorly determined: {', '.join(weakest)} trade off against each other")
-    correlation = _correlation(vector[:, known], value[known], undetermined)
-    rows, columns = np.nonzero(np.triu(np.abs(correlation) > _ALIKE, 1))
+    covariance = vector[:, known] / value[known] @ vector[:, known].T
+    spread = np.sqrt(np.diag(covariance))
+    correlation = covariance / np.outer(spread, spread).clip(1e-300)
+    # Of others the data determine only combinations.
+    alone = np.abs(undetermined).max(axis=1, initial=0.0) < 1e-6
+    alike = np.outer(alone, alone) & (np.abs(correlation) > _ALIKE)
+    rows, columns = np.nonzero(np.triu(alike, 1))
     pairs = [
         (labels[i], labels[j], float(correlation[i, j])) for i, j in zip(rows, columns, strict=True)
     ]
@@ -441,19 +446,6 @@ def _main(direction: Float[np.ndarray, " F"], labels: list[str]) -> tuple[str, .
     size = np.abs(direction)
     order = np.argsort(-size)[:_NAMED].tolist()
     return tuple(labels[k] for k in order if size[k] >= _MAIN * size.max())
-
-
-def _correlation(
-    vector: Float[np.ndarray, "F R"],
-    value: Float[np.ndarray, " R"],
-    undetermined: Float[np.ndarray, "F K"],
-) -> Float[np.ndarray, "F F"]:
-    """Return the correlation of the estimates; zero if the data determine only combinations."""
-    covariance = vector / value @ vector.T
-    spread = np.sqrt(np.diag(covariance))
-    correlation = covariance / np.outer(spread, spread).clip(1e-300)
-    alone = np.abs(undetermined).max(axis=1, initial=0.0) < 1e-6
-    return np.where(np.outer(alone, alone), correlation, 0.0)
 
 
 def _undetermined_notes(

@@ -38,7 +38,6 @@ from airpuck.model.uncertainty import (
     Cameras,
     DelayJitter,
     Uncertainty,
-    covariance_rows,
     parameter_rows,
     parameters_html,
 )
@@ -355,11 +354,11 @@ class Model:
             A row and a column for each learned parameter; nan if the model has no uncertainty. A
             dictionary of rows if pandas is not installed.
         """
-        covariance = np.full((len(self.free),) * 2, np.nan)
-        if self.known is not None:
-            covariance = self.known.covariance
+        nothing = np.full((len(self.free),) * 2, np.nan)
+        covariance = nothing if self.known is None else self.known.covariance
         labels = self.parameters.labels(self.vehicle.propeller_names)
-        return frame(covariance_rows(covariance, labels, self.free))
+        learned = [(labels[entry], entry) for entry in np.flatnonzero(self.free).tolist()]
+        return frame({row: {k: float(covariance[i, j]) for k, j in learned} for row, i in learned})
 
     def to_statespace(
         self,

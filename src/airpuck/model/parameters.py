@@ -98,12 +98,15 @@ class Parameters(_Values):
         InputError
             If a number is not finite or has an impossible sign, or an array has another shape.
         """
-        rows = {"thrust": (n,), "configuration_matrix": (3, n)}
+        rows = {
+            "thrust": ((n,), f"a curve for each of {n} propellers"),
+            "configuration_matrix": ((3, n), f"3 rows of {n} numbers, one for each propeller"),
+        }
         for quantity in self.quantities:
             value, field = getattr(self, quantity.name), f"parameters.{quantity.name}"
-            shape = rows.get(quantity.name, ())
+            shape, needed = rows.get(quantity.name, ((), ""))
             if np.shape(value)[: len(shape)] != shape or (shape and np.ndim(value) != 2):
-                raise InputError(f"must have numbers for each of {n} propellers", field=field)
+                raise InputError(f"must have {needed}", field=field)
             if not isinstance(value, float | int | np.ndarray) or np.result_type(value).kind != "f":
                 continue
             if not np.isfinite(value).all():

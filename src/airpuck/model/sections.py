@@ -12,7 +12,7 @@ import numpy as np
 import pydantic
 from jaxtyping import Bool, Float
 
-from airpuck.boundary.errors import InputError
+from airpuck.boundary.errors import InputError, about, check_known
 from airpuck.boundary.extensions import added
 from airpuck.boundary.files import Section, checked
 from airpuck.craft.vehicle import Vehicle
@@ -31,27 +31,25 @@ class NanSection(Section):
 
 
 def _one_field_each(section: type[Section], *, bounded: bool) -> type[Section]:
-    """Add a field for each quantity to a section; it is required only if values are bounded."""
+    """Add a field for each quantity, and for the coefficients of ``[effects]``, to a section.
+
+    A quantity is required only if values are bounded.
+    """
     entries: dict[str, Any] = {}
     for q in QUANTITIES:
         kind = q.toml if bounded or get_origin(q.toml) is not Annotated else float
         required = bounded and q.default is not None
         entries[q.key] = (kind, ...) if required else (kind | None, None)
+    entries["effects"] = (dict[str, tuple[float, ...]], pydantic.Field(default_factory=dict))
     return pydantic.create_model(section.__name__, __base__=section, **entries)
 
 
 class ParametersSection(_one_field_each(Section, bounded=True)):
     """The table ``[parameters]``."""
 
-    #: Coefficients of the effects in ``[effects]``.
-    effects: dict[str, tuple[float, ...]] = pydantic.Field(default_factory=dict)
-
 
 class StandardErrors(_one_field_each(NanSection, bounded=False)):
     """The table ``[uncertainty.standard_errors]``."""
-
-    #: Of the effects in ``[effects]``.
-    effects: dict[str, tuple[float, ...]] = pydantic.Field(default_factory=dict)
 
 
 class OwnEffect(NanSection):
@@ -111,12 +109,10 @@ def _declaration(quantity: Quantity) -> dict[str, Any]:
 
 def parameters_content(parameters: Parameters) -> dict[str, Any]:
     """Return the numbers of all quantities by their keys."""
-    own = {q.key: np.asarray(getattr(parameters, q.name)).tolist() for q in parameters.own}
     content = {
-        q.key: np.asarray(getattr(parameters, q.name)).tolist()
-        for q in parameters.quantities
-        if q.key not in own
+        q.key: np.asarray(getattr(parameters, q.name)).tolist() for q in parameters.quantities
     }
+    own = {q.key: content.pop(q.key) for q in parameters.own}
     return content | ({"effects": own} if own else {})
 
 
@@ -132,18 +128,10 @@ def read_parameters(section: Any, vehicle: Vehicle, own: Sequence[Quantity] = ()
                     "its rows must all have the same length", field=f"parameters.{quantity.key}"
                 )
         values[quantity.name] = value
-    n, matrix = vehicle.n_propellers, values["configuration_matrix"]
-    if len(values["thrust"]) != n:
-        raise InputError(
-            f"has {len(values['thrust'])} curves, but the vehicle has {n} propellers",
-            field="parameters.thrust_N",
-        )
-    if matrix is not None and matrix.shape != (3, n):
-        raise InputError(
-            f"must have 3 rows of {n} numbers, one for each propeller",
-            field="parameters.configuration_matrix_SI",
-        )
-    weights = values["residual"]
+    found, weights = Parameters(**values), values["residual"]
+    keys = {f"parameters.{q.name}": f"parameters.{q.key}" for q in QUANTITIES}
+    with about(None, lambda field: keys.get(field, field)):
+        found.check(vehicle.n_propellers)
     if weights is not None:
         needed = len(EFFECTS["residual"].entries(vehicle.propeller_names, 0))
         if weights.shape != (needed,):
@@ -153,8 +141,7 @@ def read_parameters(section: Any, vehicle: Vehicle, own: Sequence[Quantity] = ()
             names = ", ".join(quantity.entries((), 0))
             field = f"parameters.effects.{quantity.name}"
             raise InputError(f"must have one number for each of {names}", field=field)
-    values = Parameters(**values)
-    return with_own(values, {q: section.effects[q.name] for q in own}) if own else values
+    return with_own(found, {q: section.effects[q.name] for q in own}) if own else found
 
 
 def read_own(
@@ -190,11 +177,8 @@ def read_free(
     """Return which entries a file marks as learned."""
     sizes = {q.name: np.size(getattr(parameters, q.name)) for q in parameters.quantities}
     for name, entries in free.items():
-        if name not in sizes:
-            raise InputError(
-                f"is not a known key; it must be one of {', '.join(sorted(sizes))}",
-                field=f"free.{name}",
-            )
+        problem = f"is not a known key; it must be one of {', '.join(sorted(sizes))}"
+        check_known(name, sizes, problem, field=f"free.{name}")
         if not isinstance(entries, bool) and len(entries) != sizes[name]:
             raise InputError(f"must be one truth value or {sizes[name]}", field=f"free.{name}")
     return parameters.laid_out(free, False)
@@ -336,10 +320,8 @@ def read_uncertainty(
     """Return the uncertainty in a table; raise InputError if numbers do not fit the model."""
     labels = parameters.labels(vehicle.propeller_names)
     for label in section.labels:
-        if label not in labels:
-            raise InputError(
-                f"has {label!r}, which is no parameter of this model", field="uncertainty.labels"
-            )
+        problem = f"has {label!r}, which is no parameter of this model"
+        check_known(label, labels, problem, field="uncertainty.labels")
     at = np.array([labels.index(label) for label in section.labels], dtype=int)
     size = len(labels)
     covariance, undetermined = np.zeros((size, size)), np.zeros((len(section.undetermined), size))
@@ -388,13 +370,8 @@ def _standard_errors(section: Any, parameters: Parameters) -> Float[np.ndarray, 
 def _bootstrap(section: BootstrapSection, at: Any, size: int) -> Bootstrap:
     """Return the intervals of all entries."""
     ends = np.full((2, size), np.nan)
-    for end, values in zip(ends, (section.lower, section.upper), strict=True):
-        if len(values) != len(at):
-            raise InputError(
-                f"must have {len(at)} numbers, one for each label", field="uncertainty.bootstrap"
-            )
-        end[at] = values
-    return Bootstrap(section.replicates, section.seed, ends[0], ends[1])
+    ends[:, at] = _rows((section.lower, section.upper), "bootstrap", 2, len(at))
+    return Bootstrap(section.replicates, section.seed, *ends)
 
 
 @dataclass(frozen=True, eq=False)

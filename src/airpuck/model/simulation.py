@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.boundary.errors import InputError, installed
+from airpuck.boundary.numbers import check_finite
 from airpuck.compute.arrays import namespace, slopes, with_symbols
 from airpuck.craft.vehicle import Vehicle
 from airpuck.model.parameters import Parameters
@@ -223,8 +224,7 @@ def statespace(
         raise InputError(f"needs {len(propellers)} numbers, one for each motor", field="command")
     if not ((command >= 0) & (command <= 1)).all():
         raise InputError("must lie in [0, 1]", field="command")
-    if not np.isfinite(yaw):
-        raise InputError("must be a finite number", field="yaw")
+    check_finite(yaw=yaw)
     # For python-control a period of zero means continuous time.
     if period is not None and not (np.isfinite(period) and period > 0):
         raise InputError("must be a positive number of seconds", field="period")

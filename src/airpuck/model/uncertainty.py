@@ -202,17 +202,6 @@ def parameter_rows(
     }
 
 
-def covariance_rows(
-    covariance: Float[np.ndarray, "P P"], labels: list[str], learned: Bool[np.ndarray, " P"]
-) -> dict[str, dict[str, float]]:
-    """Return the covariance of the learned parameters, with labels on both sides."""
-    entries = np.flatnonzero(learned).tolist()
-    return {
-        labels[row]: {labels[column]: float(covariance[row, column]) for column in entries}
-        for row in entries
-    }
-
-
 def parameters_html(title: str, rows: dict[str, dict[str, Any]]) -> str:
     """Show rows of `parameter_rows` in a notebook."""
     headings = ("", *(heading.replace("_", " ") for heading in _HEADINGS))

@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from airpuck.boundary.arguments import checked_class
+from airpuck.boundary.arguments import checked_class, numbers_of
 from airpuck.boundary.errors import InputError
 from airpuck.control.reference import Numbers
 from airpuck.craft.table import Table
@@ -190,14 +190,9 @@ def checked_request(
 
 def _numbers(values: Numbers, field: str, lengths: tuple[int, ...]) -> Float[np.ndarray, " k"]:
     """Return finite numbers, or raise InputError."""
-    try:
-        array = np.array(values, dtype=float)
-    except (TypeError, ValueError):
-        raise InputError("must be numbers", field=field) from None
-    if array.ndim != 1 or len(array) not in lengths:
+    array = numbers_of(values, (None,), field)
+    if len(array) not in lengths:
         raise InputError(f"must be {' or '.join(map(str, lengths))} numbers", field=field)
-    if not np.isfinite(array).all():
-        raise InputError("must be finite numbers", field=field)
     return array
 
 

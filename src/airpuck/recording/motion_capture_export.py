@@ -55,16 +55,13 @@ class _Layout(NamedTuple):
 
 def read_export(rows: Rows, body: str) -> tuple[CsvTable, dict[str, Any]] | None:
     """Return a rigid body's columns and the mapping's defaults; None for other files."""
-    first = rows.cells[0][0].strip()
-    is_vicon = first in VICON and not any(map(str.strip, rows.cells[0][1:]))
-    if first == _MOTIVE:
-        layout = _motive(rows)
-    elif is_vicon:
-        layout = _vicon(rows)
-    elif first in _QUALISYS:
-        layout = _qualisys(rows)
-    else:
+    programs = {_MOTIVE: _motive, **dict.fromkeys(_QUALISYS, _qualisys)}
+    first, *others = map(str.strip, rows.cells[0])
+    is_vicon = first in VICON and not any(others)
+    layout_of = _vicon if is_vicon else programs.get(first)
+    if layout_of is None:
         return None
+    layout = layout_of(rows)
     chosen = chosen_body(filter(None, layout.bodies), body, rows.path)
     named = enumerate(zip(layout.names, layout.bodies, strict=False))
     places = {name: place for place, (name, of) in named if of == chosen}

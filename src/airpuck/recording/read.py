@@ -72,23 +72,20 @@ def read_recording(
 
 def _read(path: Path, mapping: RecordingMapping, needs: Sequence[str]) -> Recording:
     """Read a recording in one of the forms."""
-    found = path
     with explained(OSError, "cannot be read ({error})", file=path):
-        if found.is_dir():
-            found = _resolve(found, mapping)
-            if is_bag(found):
-                return read_bag(found, mapping, needs)
-            return read_csv(found, mapping, needs, None)
+        found = _resolve(path, mapping) if path.is_dir() else path
         if not found.exists():
             raise InputError("there is no such file or folder", file=path)
-        if not found.is_file():
+        if not (found.is_dir() or found.is_file()):
             raise InputError(f"is not a regular file; use {_FORMS}", file=path)
-    if is_bag(found):
-        return read_bag(found, mapping, needs)
-    if found.suffix == ULOG:
-        return read_ulog(found, mapping, needs)
-    if is_table(found):
-        return read_csv(found.parent, mapping, needs, found)
+        if is_bag(found):
+            return read_bag(found, mapping, needs)
+        if found.is_dir():
+            return read_csv(found, mapping, needs, None)
+        if found.suffix == ULOG:
+            return read_ulog(found, mapping, needs)
+        if is_table(found):
+            return read_csv(found.parent, mapping, needs, found)
     if found.suffix in (".npz", ".pt"):
         raise InputError("is already preprocessed and contains no raw recording", file=path)
     raise InputError(f"is not a recording; use {_FORMS}", file=path)

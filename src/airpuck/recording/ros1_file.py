@@ -87,17 +87,15 @@ class _BagRecords:
             self.chunk(header, content)
 
 
-def _field(fields: dict[str, bytes], name: str, size: int) -> bytes:
-    value = fields.get(name, b"")
-    if len(value) != size:
+def _field(fields: dict[str, bytes], name: str, size: int | None = None) -> bytes:
+    value = fields.get(name)
+    if value is None or size not in (None, len(value)):
         raise Malformed(f"a record has no {name}")
     return value
 
 
 def _text(fields: dict[str, bytes], name: str) -> str:
-    if name not in fields:
-        raise Malformed(f"a record has no {name}")
-    return fields[name].decode(errors="replace")
+    return _field(fields, name).decode(errors="replace")
 
 
 def _fields(data: bytes) -> dict[str, bytes]:

@@ -18,14 +18,13 @@ from airpuck.craft.vehicle import unnamed_columns
 from airpuck.recording.conversion import commands_of, poses_of, propellers_of, stamps_of
 from airpuck.recording.mapping import RecordingMapping
 
+#: Streams of poses: craft, puck, the human's mallet, and the mallet's target.
+POSES = ("pose", "puck", "mallet", "mallet_target")
 #: Columns of the streams with a fixed meaning. A command's columns are the propellers' names. A
 #: game has the goals of both sides, the number of the event's kind, and the side concerned.
 COLUMNS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
-        "pose": ("x_m", "y_m", "yaw_rad"),
-        "puck": ("x_m", "y_m", "yaw_rad"),
-        "mallet": ("x_m", "y_m", "yaw_rad"),
-        "mallet_target": ("x_m", "y_m", "yaw_rad"),
+        **dict.fromkeys(POSES, ("x_m", "y_m", "yaw_rad")),
         "reference": ("x_m", "y_m", "yaw_rad", "vx_m_s", "vy_m_s", "spin_rad_s"),
         "estimate": ("x_m", "y_m", "yaw_rad", "vx_m_s", "vy_m_s", "spin_rad_s"),
         "imu": ("ax_m_s2", "ay_m_s2", "az_m_s2", "gx_rad_s", "gy_rad_s", "gz_rad_s"),
@@ -33,8 +32,6 @@ COLUMNS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "game": ("left", "right", "event", "side", "value"),
     }
 )
-#: Streams of poses: craft, puck, the human's mallet, and the mallet's target.
-POSES = ("pose", "puck", "mallet", "mallet_target")
 #: Streams of commands: to the craft, to its reaction wheels if they have a topic of their own, and
 #: to its opponent.
 COMMANDS = ("command", "wheels", "opponent_command")

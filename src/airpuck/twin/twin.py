@@ -150,8 +150,7 @@ class Twin:
 
     def wait_until(self, time: float) -> list[Measurement]:
         """Simulate until a time; see `airpuck.flight.loop.Link`."""
-        if not math.isfinite(time):
-            raise InputError(f"must be a finite number, not {time!r}", field="time")
+        numbers.check_finite(time=time)
         self.world.run(time)
         self.now = time
         return self._sensors.arrived(time)
