@@ -82,16 +82,25 @@ def test_a_folder_without_write_permission_is_rejected(places, monkeypatch):
 
 
 def test_inputs_are_never_overwritten(tmp_path):
-    published_model("M3").save(tmp_path / "model.toml")
-    (tmp_path / "link.toml").symlink_to("model.toml")
-    before = (tmp_path / "model.toml").read_bytes()
-    for name in ("model.toml", "link.toml", f"../{tmp_path.name}/model.toml"):
-        process = airpuck("present", "model.toml", "--json", name, cwd=tmp_path)
-        assert refused(process, "model.toml", "--json", "is also an input")
+    (tmp_path / "params.json").write_text("{}")
+    (tmp_path / "link.json").symlink_to("params.json")
+    for name in ("params.json", "link.json", f"../{tmp_path.name}/params.json"):
+        process = airpuck("present", "params.json", "--json", name, cwd=tmp_path)
+        assert refused(process, "params.json", "--json", "is also an input")
     # A folder's own recording, too.
     (tmp_path / "bag").mkdir()
     assert refused(airpuck("resid", "m", "bag", "-o", "./bag", cwd=tmp_path), "is also an input")
-    assert (tmp_path / "model.toml").read_bytes() == before
+    assert (tmp_path / "params.json").read_text() == "{}"
+
+
+def test_figures_and_results_replace_only_their_kind(tmp_path):
+    (tmp_path / "m.toml").write_text("a model")
+    plan = ("plan", "--from", 0, 0, 0, "--to", 1, 0, 0)
+    process = airpuck(*plan, "--json", tmp_path / "m.toml")
+    assert refused(process, "m.toml: --json", "exists and does not end in .json; choose another")
+    process = airpuck(*plan, "--figure", tmp_path / "m.toml")
+    assert refused(process, "m.toml: --figure", "must end in .png or .pdf or .svg")
+    assert (tmp_path / "m.toml").read_text() == "a model"
 
 
 def test_overlong_and_empty_names_are_rejected(tmp_path):

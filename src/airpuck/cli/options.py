@@ -101,12 +101,27 @@ def _texts(value: Any) -> Iterator[str | Path]:
 _KINDS: dict[str, Output] = {"FILE": "file", "DIR": "folder", "BAG": "new folder"}
 
 
-def output(metavar: Literal["FILE", "DIR", "BAG"], help: str, *names: str) -> Any:
-    """Return an option for a file or folder to write; by default -o."""
+def output(
+    metavar: Literal["FILE", "DIR", "BAG"],
+    help: str,
+    *names: str,
+    endings: tuple[str, ...] = (),
+    replaces: str = "",
+) -> Any:
+    """Return an option for a file or folder to write; by default -o, with any ending.
+
+    Of existing files, it may replace only those with one ending.
+    """
 
     def check(context, parameter, path):  # without annotations as in `views.option`
         if path is not None and not is_stdout(path) and not context.resilient_parsing:
             check_written(context, parameter.opts[0], path, _KINDS[metavar])
+            if endings and path.suffix not in endings:
+                problem = f"must end in {' or '.join(endings)}"
+                raise InputError(problem, file=path, field=parameter.opts[0])
+            if replaces and path.suffix != replaces and path.is_file():
+                problem = f"exists and does not end in {replaces}; choose another name"
+                raise InputError(problem, file=path, field=parameter.opts[0])
         return path
 
     return Option(*(names or ("-o", "--output")), metavar=metavar, help=help, callback=check)
@@ -114,7 +129,12 @@ def output(metavar: Literal["FILE", "DIR", "BAG"], help: str, *names: str) -> An
 
 def figure(what: str) -> Any:
     """Return the option for a figure to write."""
-    return output("FILE", f"Figure of {what} to write: PNG, PDF or SVG.", "--figure")
+    help = f"Figure of {what} to write: PNG, PDF or SVG."
+    return output("FILE", help, "--figure", endings=FIGURES)
+
+
+#: Endings of figures.
+FIGURES = (".png", ".pdf", ".svg")
 
 
 def _file(option: str, help: str, reader: str = "") -> Setting:
@@ -124,7 +144,8 @@ def _file(option: str, help: str, reader: str = "") -> Setting:
 
 
 Json = Annotated[
-    Path | None, output("FILE", "Write the results as JSON; - for standard output.", "--json")
+    Path | None,
+    output("FILE", "Write the results as JSON; - for standard output.", "--json", replaces=".json"),
 ]
 Quiet = Annotated[bool, Option("--quiet", "-q", help="Print only the results.")]
 Verbose = Annotated[

@@ -313,23 +313,20 @@ def _drift_lines(names: Sequence[str], found: Drift) -> list[str]:
     return [header, *(f"  {sentence}" for sentence in sentences)]
 
 
-#: File suffixes of a drawing.
-_FORMATS = (".svg", ".png", ".pdf")
-
-
 @command(PANEL)
 def vehicle(
     file: Annotated[Path, Argument(metavar="FILE", help="Vehicle file.")],
     output: Annotated[
-        Path | None, options.output("FILE", "Drawing to write: craft.svg, .png or .pdf.")
+        Path | None,
+        options.output(
+            "FILE", "Drawing to write: craft.svg, .png or .pdf.", endings=options.FIGURES
+        ),
     ] = None,
 ) -> None:
     """Show a vehicle file: its propellers, and the motions they can produce."""
     from airpuck.control.authority import control_authority
     from airpuck.model.model_file import nominal_model
 
-    if output is not None and output.suffix not in _FORMATS:
-        raise InputError(f"must end in {', '.join(_FORMATS)}", file=output, field="-o")
     model = nominal_model(airpuck.read_vehicle(file))
     found = control_authority(model)
     draw(output, "craft.craft_figure", model.vehicle)

@@ -281,7 +281,7 @@ def make_law(law: str | type[Law] | Law, model: Model, tuning: Tuning, options: 
 
 def law_named(name: str) -> Callable[..., Any]:
     """Return a factory that makes the named law from model, tuning and options."""
-    return _users_law(name) if ".py:" in check_law(name) else law_class(name)
+    return _users_law(name) if ".py:" in check_law(name, "law") else law_class(name)
 
 
 def _users_law(name: str) -> Callable[..., Any]:

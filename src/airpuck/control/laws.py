@@ -21,10 +21,11 @@ LAWS: dict[str, Callable[..., Any] | str] = {
 PAPERS = "lqr"
 
 
-def check_law(name: str) -> str:
-    """Return the name of a law; raise InputError for an unknown name."""
+def check_law(name: str, field: str | None = None) -> str:
+    """Return the name of a law; raise InputError about a field for an unknown name."""
     if name not in LAWS and ".py:" not in name and name not in added("airpuck.laws"):
-        raise InputError(unknown(name, [*LAWS, *added("airpuck.laws"), "FILE.py:NAME"]))
+        known = [*LAWS, *added("airpuck.laws"), "FILE.py:NAME"]
+        raise InputError(unknown(name, known), field=field)
     return name
 
 

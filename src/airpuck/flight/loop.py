@@ -415,7 +415,7 @@ PilotMaker = Callable[[Model, Reference], Pilot]
 
 def pilot_named(name: str) -> PilotMaker | None:
     """Return a factory for a user's pilot, named FILE.py:NAME; None if it names a law."""
-    if ".py:" not in check_law(name):
+    if ".py:" not in check_law(name, "law"):
         return None
     kind = UserCode(name, "--law").kind
     is_law = isinstance(kind, type) and issubclass(kind, Law)

@@ -215,9 +215,11 @@ def _check_motion(request: Request, motion: Float[np.ndarray, " 4"], field: str)
         )
     fastest = np.nanmax(np.abs([vx, vy, 0.0]))
     if fastest > limits.speed:
-        raise InputError(f"{fastest:g} m/s is above the limit of {limits.speed:g}", field=field)
+        problem = f"its speed, {fastest:g} m/s, is above the limit of {limits.speed:g} m/s"
+        raise InputError(problem, field=field)
     if abs(spin) > limits.spin:
-        raise InputError(f"{spin:g} rad/s is above the limit of {limits.spin:g}", field=field)
+        problem = f"its yaw rate, {spin:g} rad/s, is above the limit of {limits.spin:g} rad/s"
+        raise InputError(problem, field=field)
 
 
 def _check_place(request: Request, name: str, place: Float[np.ndarray, " 2"]) -> None:
