@@ -197,7 +197,7 @@ def test_a_comparison_names_laws_that_did_not_settle():
         ),
         ({"laws": [int]}, "laws: must be .*, but contains the class int$"),
         ({"laws": [airpuck.Law]}, "law: must inherit from airpuck.Law"),
-        ({"laws": ["lqr", "mcp"]}, "laws: must be 'lqr', 'mpc', .*did you mean 'mpc'"),
+        ({"laws": ["lqr", "mcp"]}, "law: must be 'lqr', 'mpc', .*did you mean 'mpc'"),
     ],
 )
 def test_invalid_comparison_options_are_rejected(options, words):
