@@ -9,6 +9,8 @@ import pytest
 import airpuck
 import airpuck_hockey
 
+from .apparatus.fewer_flights import fly_less
+
 #: Examples that take over 1.5 s alone.
 SLOW = {"ControllerComparison", "Game", "PredictionBands", "ResidualTests", "Study"}
 SLOW |= {"animate", "compare_controllers", "plan", "race", "resid", "study", "tune"}
@@ -43,6 +45,7 @@ def shared():
 )
 def test_examples_of_public_names_run(package, name, shared, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    fly_less(monkeypatch)
     text = inspect.getdoc(getattr(package, name)) or ""
     assert ">>> " in text, "no example"
     found = doctest.DocTestParser().get_doctest(text, dict(shared), name, None, None)

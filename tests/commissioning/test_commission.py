@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from airpuck import Twin, TwinSettings, Vehicle, commission, read_model, read_vehicle
+from airpuck.commissioning import excitations
 from airpuck.commissioning.commission import STEPS
 from airpuck.commissioning.excitations import Excitations
 from airpuck.commissioning.session import Work
@@ -68,9 +69,10 @@ def test_a_craft_with_an_inaccurate_file_gets_a_trusted_model(tmp_path):
     assert "airpuck fly" in page and "airpuck race" in page
 
 
-def test_a_dead_motor_ends_the_run_before_any_excitation():
+def test_a_dead_motor_ends_the_run_before_any_excitation(monkeypatch):
     dead = {"motor": "motor_b_1", "start_s": 0.0, "stop_s": 1e4, "share": 0.0}
     twin = Twin(TRUTH, changed(QUIET, motors={"weak": (Weakness(**dead),)}), seed=1)
+    monkeypatch.setattr(excitations, "prepare", lambda *_: None)  # compiles for a study
     found = commission(twin, default_vehicle())
     assert found.outcome == "actuator"
     assert found.findings[0].cause == "motor_b_1 gives little or no thrust"

@@ -7,13 +7,20 @@ import pytest
 
 from airpuck import Measurement, Pilot, Step, commission, read_recording
 from airpuck.boundary.results import Finding
-from airpuck.commissioning.excitations import WarmUp, first_cause
+from airpuck.commissioning import excitations
+from airpuck.commissioning.excitations import WarmUp, first_cause, prepare
 from airpuck.commissioning.session import Work
 from airpuck.commissioning.steps import Pulses, Rest, hovering
 from airpuck.craft.vehicle import default_vehicle
 from airpuck.physics.rigid_body import turned
 
 VEHICLE = default_vehicle()
+
+
+@pytest.fixture(autouse=True)
+def uncompiled(monkeypatch):
+    """Compile for a study with slow cameras only; these runs end before their first study."""
+    monkeypatch.setattr(excitations, "prepare", lambda craft, hz: hz < 30 and prepare(craft, hz))
 
 
 class Still:

@@ -172,10 +172,10 @@ def test_only_significant_changes_are_used(learning):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_drag_slope_and_mass_offset_are_learned_with_the_motors(learning, seed):
     true = np.array([0.25, 2e-3, -1.5e-3, 4e-3, -3e-3])
-    true[1:] *= (-1.0, 1.0)[seed % 2]
+    true[1:] *= (-1.0, 1.0)[seed]
     body = {"drag": true[0], "offset": true[1:3], "slope": true[3:]}
     taught(learning, [1, 1, 0.8, 1, 1, 1], seed=seed, lasting=20.0, **body)
     found = learning.predict(20.0).actuation
@@ -192,8 +192,8 @@ def test_at_rest_body_intervals_return_to_the_prior_without_drift(learning):
     before = np.array(list(learning.predict(20.0).actuation.beyond.values()))
     learning.command(20.0, np.zeros(6))
     learning.restart(21.0, np.zeros(3))
-    for k in range(1, 60 * 100):
-        learning.pose(21.0 + k / 100, random.normal(size=3) * QUIET.pose)
+    for k in range(1, 60 * 25):
+        learning.pose(21.0 + k / 25, random.normal(size=3) * QUIET.pose)
     after = np.array(list(learning.predict(81.0).actuation.beyond.values()))
     # A craft at rest shows that the table is level; of the rest it tells nothing.
     np.testing.assert_allclose(after[:3, 0], before[:3, 0], rtol=0.02, atol=1e-4)

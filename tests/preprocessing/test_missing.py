@@ -153,10 +153,9 @@ def test_a_lost_pose_does_not_change_the_innovations(burst):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("share", [0.05, 0.2])
-def test_a_fit_without_some_of_the_poses_gives_the_same_result(share):
+def test_a_fit_without_some_of_the_poses_gives_the_same_result():
     recording = record(duration=20.0, noise=5e-5)
-    kept = random_losses(len(recording["pose"]), share)
+    kept = random_losses(len(recording["pose"]), 0.2)
     kept[1000:1020] = kept[2500:2524] = False
     fit, whole = identify(without(recording, kept)), identify(preprocess(recording))
     usual, errors = (one.model.uncertainty.standard_errors for one in (whole, fit))

@@ -10,6 +10,7 @@ from airpuck.model.model_file import published_model
 
 from ..apparatus.commands import airpuck as command
 from ..apparatus.commands import ran, refused
+from ..apparatus.fewer_flights import fly_less
 from ..apparatus.studies import study
 
 M3 = published_model("M3")
@@ -35,7 +36,9 @@ class Mine(airpuck.LQR):
 
 @pytest.fixture(scope="module")
 def found():
-    return airpuck.tune(M3, trials=16)
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        fly_less(monkeypatch, held_out=3, halvings=5)
+        return airpuck.tune(M3, trials=16)
 
 
 @pytest.mark.slow
@@ -97,7 +100,8 @@ def test_tuning_needs_at_least_one_positive_number(tmp_path):
 
 
 @pytest.mark.slow
-def test_trials_change_the_weights_of_a_user_law_where_its_file_has_them(tmp_path):
+def test_trials_change_the_weights_of_a_user_law_where_its_file_has_them(tmp_path, monkeypatch):
+    fly_less(monkeypatch)
     (tmp_path / "sub").mkdir()
     # The table may name the law by another path to the same file.
     table = f'[law."{tmp_path}/sub/../mine.py:Mine".inner]\nweight = 3.0'
@@ -118,7 +122,8 @@ def test_zero_trials_are_rejected():
 
 
 @pytest.mark.slow
-def test_the_command_writes_a_tuning_that_others_can_read(tmp_path):
+def test_the_command_writes_a_tuning_that_others_can_read(tmp_path, monkeypatch):
+    fly_less(monkeypatch)
     out, figures = tmp_path / "tuning.toml", tmp_path / "tuned.json"
     said = ran("tune", "paper:M3", "-o", out, "--trials", 1, "--json", figures)
     found = json.loads(figures.read_text())
