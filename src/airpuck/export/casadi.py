@@ -84,7 +84,7 @@ def functions(model: Model, free: Sequence[str] = ()) -> dict[str, casadi.Functi
 def write(subject: Subject, folder: Path) -> dict[str, Any]:
     """Write the functions with constant parameters, and with the learned ones as an argument."""
     model, vehicle = subject.model, subject.model.vehicle
-    free = [name for name in _arguments(model) if model.learns(name)]
+    free = [name for name in _arguments(model) if name in model.learned]
     for names, suffix in [([], ""), (free, "_free")][: 2 if free else 1]:
         for name, function in functions(model, names).items():
             function.save(str(folder / f"{name}{suffix}.casadi"))
