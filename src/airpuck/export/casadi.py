@@ -12,7 +12,7 @@ import numpy as np
 
 from airpuck.boundary.errors import check_known, installed
 from airpuck.compute.arrays import with_symbols
-from airpuck.export.kinds import Subject, refuse_actuators
+from airpuck.export.kinds import Subject, command_range, refuse_actuators
 from airpuck.model.model_file import Model
 from airpuck.physics import rigid_body
 
@@ -84,7 +84,7 @@ def functions(model: Model, free: Sequence[str] = ()) -> dict[str, casadi.Functi
 def write(subject: Subject, folder: Path) -> dict[str, Any]:
     """Write the functions with constant parameters, and with the learned ones as an argument."""
     model, vehicle = subject.model, subject.model.vehicle
-    free = [name for name in _arguments(model) if model.learns(name)]
+    free = [name for name in _arguments(model) if name in model.learned]
     for names, suffix in [([], ""), (free, "_free")][: 2 if free else 1]:
         for name, function in functions(model, names).items():
             function.save(str(folder / f"{name}{suffix}.casadi"))
@@ -96,10 +96,7 @@ def write(subject: Subject, folder: Path) -> dict[str, Any]:
         "vehicle": vehicle.name,
         "state": units,
         "command": dict.fromkeys(vehicle.propeller_names, "1"),
-        "command_range": [
-            [vehicle.idle[channel.column], vehicle.command_max]
-            for channel in vehicle.actuation.channels
-        ],
+        "command_range": command_range(model),
         "period": "s",
         "theta": dict(zip(labels.tolist(), model.parameters.to_vector()[mask], strict=True)),
         "transport_delay_s": model.transport_delay,

@@ -70,7 +70,7 @@ def params_json(model: Model) -> dict[str, Any]:
     if order > 3:
         cannot(f"thrust curves of degree {order}", "params.json; the highest is 3")
     fields = AuthorsSwitches.model_fields
-    switches = {str(field.alias): model.learns(name) for name, field in fields.items()}
+    switches = {str(field.alias): name in model.learned for name, field in fields.items()}
     switches["learn_configuration_matrix"] = values.configuration_matrix is not None
     shared = {
         "center_of_mass": [*np.asarray(values.center_of_mass).tolist(), 0.0],

@@ -232,6 +232,12 @@ def refuse_frame(model: Model, kind: str, frame: CenterOfMassFrame) -> None:
         cannot(f"a centre of mass that is fixed to the {model.frame}", kind, remedy)
 
 
+def command_range(model: Model) -> list[tuple[float, float]]:
+    """Return the lowest and the highest command of each motor."""
+    idle, most = model.vehicle.idle, model.vehicle.command_max
+    return [(float(idle[one.column]), most) for one in model.vehicle.actuation.channels]
+
+
 def cannot(what: str, target: str, remedy: str = "") -> NoReturn:
     """Raise InputError for what a model has and an export cannot represent."""
     problem = f"has {what}, which an export to {target} cannot represent{remedy}"

@@ -10,7 +10,7 @@ import numpy as np
 
 import airpuck
 from airpuck.export.c import check_effects, coefficients, copy_sources
-from airpuck.export.kinds import Subject, printable, refuse_actuators
+from airpuck.export.kinds import Subject, command_range, printable, refuse_actuators
 from airpuck.model.model_file import Model
 from airpuck.model.simulation import trim
 
@@ -54,9 +54,7 @@ def parameters(model: Model) -> str:
         "twin": fields["twin"] + 1,
         "effects": int(bool(dynamics.effects)),
         "hover": trim(replace(dynamics, effects=())),
-        "command_range": np.array(
-            [[vehicle.idle[one.column], vehicle.command_max] for one in vehicle.actuation.channels]
-        ),
+        "command_range": np.array(command_range(model)),
         "transport_delay": model.transport_delay,
     }
     lines = [f"    p.{name} = {_literal(value)};" for name, value in fields.items()]

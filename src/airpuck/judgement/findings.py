@@ -318,7 +318,7 @@ def timing_suspect(model: Model, effects: EffectErrors | None) -> list[Finding]:
 def unit_suspect(model: Model) -> list[Finding]:
     """Report an impossible learned inertia: lengths are in a wrong unit."""
     vehicle = model.vehicle
-    learned = model.learns("inertia")
+    learned = "inertia" in model.learned
     # Some craft carry propellers outside the radius that meets the rails.
     radius = max(vehicle.radius_m, float(np.hypot(*vehicle.positions.T).max()))
     ratio = float(model.parameters.inertia) / (vehicle.mass_kg * radius**2)

@@ -190,22 +190,14 @@ class Model:
     @property
     def delay_learned(self) -> bool:
         """Whether the transport delay was learned, as a continuous parameter."""
-        return self.learns("transport_delay")
+        return "transport_delay" in self.learned
 
-    def learns(self, name: str) -> bool:
-        """Return whether an entry of a parameter was learned.
-
-        Parameters
-        ----------
-        name : str
-            Name of the parameter, such as ``inertia``.
-
-        Returns
-        -------
-        bool
-            Whether any of its entries was free in the fit.
-        """
-        return bool(self.free[self.parameters.mask(frozenset({name}))].any())
+    @cached_property
+    def learned(self) -> frozenset[str]:
+        """Names of the parameters of which an entry was learned."""
+        names = [quantity.name for quantity in self.parameters.quantities]
+        masks = {name: self.parameters.mask(frozenset({name})) for name in names}
+        return frozenset(name for name, mask in masks.items() if self.free[mask].any())
 
     def with_delay(self, transport_delay: float) -> Model:
         """Return the model with another transport delay.

@@ -148,7 +148,7 @@ def _cells(
     unused = model.parameters.configuration_matrix is not None and quantity in IN_MATRIX
     if unused or getattr(model.parameters, quantity) is None:
         return [Cell()] * count
-    free = model.learns(quantity)
+    free = quantity in model.learned
     cells = []
     errors = np.ravel(bar(model, values))
     for value, error in zip(np.ravel(values(model)), errors, strict=True):
@@ -297,7 +297,7 @@ def parameter_figure(
     angular.set_yticklabels([])
     ratios = {m.name: _ratios(m, reference[m.name], _scalars) for m in models}
     for m in models:
-        ratios[m.name][:, [not m.learns(name) for name in _SCALARS]] = np.nan
+        ratios[m.name][:, [name not in m.learned for name in _SCALARS]] = np.nan
     _draw_ratios(scalars, ("inertia I", "lag τ"), ratios)
     scalars.set_title("where learned", loc="left")
     for axes in (linear, angular, scalars):

@@ -152,7 +152,6 @@ def view_live(
     *,
     host: str = LOOPBACK,
     port: int = 8080,
-    table: Table | None = None,
 ) -> dict[str, Any]:
     """Serve a page that shows the craft in flight, until the time is over, SIGINT or SIGTERM.
 
@@ -166,8 +165,6 @@ def view_live(
         Address to serve at.
     port : int, default 8080
         Port to serve at.
-    table : Table, optional
-        Names of the topics; by default the authors'.
 
     Returns
     -------
@@ -180,7 +177,7 @@ def view_live(
         If websockets is not installed, the address is not free, or the graph cannot be joined.
     """
     numbers.PORT.check(port, "--port")
-    table = table or Table()
+    table = Table()
     hello = view_hello(model, table)
     with (
         served(host, port, hello, page=VIEW_PAGE, waits=False) as pages,
