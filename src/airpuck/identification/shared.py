@@ -25,7 +25,7 @@ from airpuck.identification.fit_result import Fit
 from airpuck.identification.objective import Quadratic
 from airpuck.identification.problem import Exclusion
 from airpuck.identification.uncertainty import inverted
-from airpuck.model.model_file import Model
+from airpuck.model.model_file import Model, learns
 from airpuck.model.parameters import Parameters
 from airpuck.model.rungs import TERMS, Rung
 from airpuck.model.sections import OfRecording
@@ -66,8 +66,7 @@ def identify_each(
     last = fits[-1]
     free, mask = last.model.free, last.model.parameters.mask(own)
     for name in each:
-        entries = last.model.parameters.mask(frozenset({_EACH[name]}))
-        if not free[entries].any():
+        if not learns(last.model, _EACH[name]):
             problem = f"{name} is not learned from these recordings, so it cannot differ in them"
             raise InputError(problem, field="each")
     hessians = [fit.windows * _quadratic(fit, fit.model.parameters).hessian for fit in fits]

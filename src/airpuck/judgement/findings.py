@@ -19,8 +19,7 @@ from airpuck.evaluation.comparison import coasting
 from airpuck.evaluation.evaluate import Evaluation
 from airpuck.evaluation.presentation import WAYS, largest_acceleration
 from airpuck.faults.strengths import Strengths
-from airpuck.model.model_file import Model, nominal_model
-from airpuck.model.parameters import LAG
+from airpuck.model.model_file import Model, learns, nominal_model
 from airpuck.preprocessing.delay import visible_delay
 from airpuck.preprocessing.quality import CLOCK_STEP
 
@@ -104,8 +103,8 @@ def incomplete(model: Model) -> list[Finding]:
     if model.fit.get("converged") is False:
         remedy = "Run it again, with more data or a closer start."
         found.append(Finding("physics", "The fit did not converge", remedy=remedy))
-    learned = model.free[model.parameters.mask(LAG)].any()
-    if not float(model.parameters.motor_time_constant) > 0 and not learned:
+    lag = float(model.parameters.motor_time_constant)
+    if not lag > 0 and not learns(model, "motor_time_constant"):
         cause = "The model has no motor lag, so it expects every thrust too early"
         found.append(Finding("physics", cause, remedy="Use M3."))
     return found
@@ -318,11 +317,10 @@ def timing_suspect(model: Model, effects: EffectErrors | None) -> list[Finding]:
 def unit_suspect(model: Model) -> list[Finding]:
     """Report an impossible learned inertia: lengths are in a wrong unit."""
     vehicle = model.vehicle
-    learned = bool(model.free[model.parameters.mask(frozenset({"inertia"}))].any())
     # Some craft carry propellers outside the radius that meets the rails.
     radius = max(vehicle.radius_m, float(np.hypot(*vehicle.positions.T).max()))
     ratio = float(model.parameters.inertia) / (vehicle.mass_kg * radius**2)
-    if not learned or _INERTIA_RANGE[0] <= ratio <= _INERTIA_RANGE[1]:
+    if not learns(model, "inertia") or _INERTIA_RANGE[0] <= ratio <= _INERTIA_RANGE[1]:
         return []
     what = "larger than a ring's" if ratio > 1 else "smaller than any craft's"
     cause = f"The moment of inertia is {what} of the craft's mass and radius"

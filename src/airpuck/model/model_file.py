@@ -190,7 +190,7 @@ class Model:
     @property
     def delay_learned(self) -> bool:
         """Whether the transport delay was learned, as a continuous parameter."""
-        return bool(self.free[self.parameters.mask(frozenset({"transport_delay"}))].any())
+        return learns(self, "transport_delay")
 
     def with_delay(self, transport_delay: float) -> Model:
         """Return the model with another transport delay.
@@ -395,6 +395,11 @@ class Model:
         """
         content = {"format": _FORMAT, **model_content(self)}
         write_toml(path, content, header="An airpuck model; see docs/usage.md for its fields.")
+
+
+def learns(model: Model, name: str) -> bool:
+    """Return whether a quantity of a model, or an entry of it, was learned."""
+    return bool(model.free[model.parameters.mask(frozenset({name}))].any())
 
 
 def read_model(name: str | os.PathLike[str], effects: Sequence[type[Effect]] = ()) -> Model:
