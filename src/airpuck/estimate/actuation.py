@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -111,7 +111,7 @@ class ActuationEncoder:
     tail: float = 8.0
     tempering: float = 0.3
     #: The encoder's name on the command line.
-    name: ClassVar[str] = "actuation"
+    name = "actuation"
 
     @property
     def causal(self) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal, Protocol, runtime_checkable
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -85,9 +85,9 @@ class PaperEncoder:
 
     indexing: Literal["start", "end"] = "start"
     #: The encoder's name on the command line.
-    name: ClassVar[str] = "paper"
+    name = "paper"
     #: The smoothed velocities look a few samples ahead.
-    causal: ClassVar[bool] = False
+    causal = False
 
     def begin(self, dynamics: Dynamics, past: Past) -> tuple[Any, Dynamics]:
         """Estimate the initial state and the dynamics; see `Encoder.begin`."""

@@ -13,7 +13,6 @@ from jaxtyping import Float
 
 from airpuck.boundary.results import Result, html_table
 from airpuck.model.model_file import Model
-from airpuck.model.parameters import LAG
 from airpuck.model.parameters import thrust_scale as parameters_scale
 from airpuck.model.quantities import IN_MATRIX, QUANTITIES, Quantity
 from airpuck.model.rungs import RUNGS
@@ -345,8 +344,8 @@ def _derived(model: Model) -> list[Value]:
         def bandwidth(m: Model) -> float:
             return 1 / (2 * np.pi * m.parameters.motor_time_constant)
 
-        lag = model.parameters.mask(LAG)
-        label, learned = "bandwidth of the motors 1/(2πτ)", bool(model.free[lag].any())
+        learned = "motor_time_constant" in model.learned
+        label = "bandwidth of the motors 1/(2πτ)"
         values.append(_value(model, label, "Hz", bandwidth, learned=learned))
     return values
 

@@ -20,7 +20,6 @@ from airpuck.evaluation.evaluate import Evaluation
 from airpuck.evaluation.presentation import WAYS, largest_acceleration
 from airpuck.faults.strengths import Strengths
 from airpuck.model.model_file import Model, nominal_model
-from airpuck.model.parameters import LAG
 from airpuck.preprocessing.delay import visible_delay
 from airpuck.preprocessing.quality import CLOCK_STEP
 
@@ -104,7 +103,7 @@ def incomplete(model: Model) -> list[Finding]:
     if model.fit.get("converged") is False:
         remedy = "Run it again, with more data or a closer start."
         found.append(Finding("physics", "The fit did not converge", remedy=remedy))
-    learned = model.free[model.parameters.mask(LAG)].any()
+    learned = "motor_time_constant" in model.learned
     if not float(model.parameters.motor_time_constant) > 0 and not learned:
         cause = "The model has no motor lag, so it expects every thrust too early"
         found.append(Finding("physics", cause, remedy="Use M3."))

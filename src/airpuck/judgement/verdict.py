@@ -248,13 +248,8 @@ def _decided(
     flown = {law: rehearse(model, evidence.trajectory, evidence.effects)}
     if flown[law].settles:
         return "trusted", [], flown
-    return "not_trusted", [Finding("control", *_split(flown[law].remedy))], flown
-
-
-def _split(words: str) -> tuple[str, str, str]:
-    """Split sentences into cause, no evidence of its own, and remedy."""
-    cause, _, remedy = words.partition(". ")
-    return cause.removesuffix("."), "", remedy
+    cause, _, remedy = flown[law].remedy.partition(". ")
+    return "not_trusted", [Finding("control", cause.removesuffix("."), remedy=remedy)], flown
 
 
 def _parameters(evidence: Evidence, findings: Sequence[Finding]) -> ParametersVerdict:
@@ -326,12 +321,10 @@ def _unknown(model: Model, errors: dict[str, float]) -> list[str]:
 
 def _timing(model: Model) -> list[str]:
     """Report if only the sum of lag and delay is known, and not the split."""
-    masks = [
-        model.parameters.mask(frozenset({name}))
-        for name in ("motor_time_constant", "transport_delay")
-    ]
-    if model.known is None or not all((model.free & mask).any() for mask in masks):
+    names = "motor_time_constant", "transport_delay"
+    if model.known is None or not model.learned.issuperset(names):
         return []
+    masks = (model.parameters.mask(frozenset({name})) for name in names)
     lag, delay = (int(np.flatnonzero(mask)[0]) for mask in masks)
     error = float(model.standard_error(response_time))
     correlation = float(model.known.correlation[lag, delay])
