@@ -138,7 +138,7 @@ def test_exact_mouse_and_gyro_determine_velocity_and_spin():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("ratio", [0.5, 1.0, 1.7])
+@pytest.mark.parametrize("ratio", [0.5, 1.7])
 def test_a_learning_craft_estimates_the_density_of_unmodelled_accelerations(ratio):
     """The poses of an idle craft, pushed by white accelerations of a known density."""
     # Five more unknowns: drag, centre of mass and slope.
