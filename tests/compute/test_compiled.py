@@ -9,13 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from airpuck.compute.compiled import (
-    double_precision,
-    for_batches,
-    for_samples,
-    lengthened,
-    program,
-)
+from airpuck.compute.compiled import double_precision, for_batches, for_samples, lengthened, program
 from airpuck.model.model_file import published_model
 from airpuck.physics.rigid_body import step
 

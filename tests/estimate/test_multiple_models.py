@@ -7,13 +7,7 @@ import pytest
 
 from airpuck.craft.vehicle import GRAVITY
 from airpuck.estimate.axis_filter import Noise
-from airpuck.estimate.multiple_models import (
-    Memory,
-    MultipleModels,
-    States,
-    sensitivity,
-    with_slope,
-)
+from airpuck.estimate.multiple_models import Memory, MultipleModels, States, sensitivity, with_slope
 from airpuck.model.model_file import published_model, read_model
 from airpuck.physics.effects import Drag
 from airpuck.physics.rigid_body import acceleration
