@@ -111,8 +111,7 @@ class GraphInMemory(Graph):
         for time, data in zip(other.times[topic], other.sent[topic], strict=True):
             sample = Sample(other.clock.stamp_ns(time), data)
             self.clock.at(
-                self.clock.of(sample.sent_ns),
-                lambda one=sample: self.waiting[topic].append(one),
+                self.clock.of(sample.sent_ns), lambda one=sample: self.waiting[topic].append(one)
             )
 
     def values(self, topic: str, stream: str = "") -> list:

@@ -6,12 +6,7 @@ import numpy as np
 import pytest
 
 from airpuck import identify, load_trajectory, tracking_study
-from airpuck.campaigns.items import (
-    Fitting,
-    ShortestTime,
-    Tracking,
-    recovery_errors,
-)
+from airpuck.campaigns.items import Fitting, ShortestTime, Tracking, recovery_errors
 from airpuck.model.model_file import published_model
 from airpuck.planning.minimal_time import read_minimal_times
 from airpuck.recording.csv_folder import write_csv

@@ -174,7 +174,7 @@ def test_a_bad_recording_ends_in_one_line_and_writes_nothing(tmp_path):
 @pytest.mark.slow
 def test_the_demo_runs_from_start_to_end(tmp_path, undrawn, monkeypatch):
     # A report needs five models and flights of 90 s, a test does not.
-    monkeypatch.setattr("airpuck.report.reproduce.demo", partial(paper.demo, duration=14.0))
+    monkeypatch.setattr("airpuck.report.reproduce.demo", partial(paper.demo, duration=9.0))
     monkeypatch.setattr("airpuck.report.reproduce._MODELS", ("M0", "M3"))
     monkeypatch.setattr("airpuck.report.reproduce._PILOTS", ("M3",))
     process = ran("demo", "--out", tmp_path / "demo", "--quiet")

@@ -233,10 +233,9 @@ def test_output_in_a_limited_encoding_causes_no_failure():
     assert "\\xb7" in done.stdout or done.stdout.isascii()
 
 
-def test_unusual_drawing_settings_cause_no_failure(tmp_path):
-    write_bag(record(), tmp_path / "bag")
+def test_unusual_drawing_settings_cause_no_failure(folder):
     odd = {**os.environ, "MPLBACKEND": "nonsense", "SOURCE_DATE_EPOCH": "yesterday"}
-    done = airpuck_process("animate", tmp_path / "bag", "-o", tmp_path / "a.gif", env=odd)
+    done = airpuck_process(*COMMANDS["animate"].split(), cwd=folder, env=odd)
     assert done.returncode == 0, done.stderr
     assert "Traceback" not in done.stderr
 

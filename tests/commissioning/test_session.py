@@ -27,13 +27,7 @@ class Still:
     """A link to a craft that lies still: poses at a rate, with noise, around a place."""
 
     def __init__(
-        self,
-        rate=120.0,
-        noise=1e-4,
-        place=(0.02, -0.01, 0.3),
-        until=np.inf,
-        push=0.0,
-        stamps=0.0,
+        self, rate=120.0, noise=1e-4, place=(0.02, -0.01, 0.3), until=np.inf, push=0.0, stamps=0.0
     ):
         self.now, self.sent, self._stamps = 0.0, [], stamps
         self.rate, self._noise, self._place, self._until = rate, noise, np.array(place), until

@@ -9,13 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from airpuck.compute.compiled import (
-    double_precision,
-    for_batches,
-    for_samples,
-    lengthened,
-    program,
-)
+from airpuck.compute.compiled import double_precision, for_batches, for_samples, lengthened, program
 from airpuck.model.model_file import published_model
 from airpuck.physics.rigid_body import step
 
@@ -209,7 +203,7 @@ def test_compiling_for_many_recordings_keeps_memory_bounded():
         return jax.lax.scan(lambda sum, k: (jnp.sort(sum) + k, None), values, jnp.arange(3.0))[0]
 
     batch, least = for_batches(shifted), mappings()
-    for size in range(2, 172):
+    for size in range(2, 132):
         assert batch(np.zeros(size))[0] == 3.0
-        least = max(least, mappings()) if size < 72 else least
+        least = max(least, mappings()) if size < 62 else least
     assert mappings() <= 1.5 * least

@@ -164,11 +164,7 @@ def test_a_path_copies_the_arrays_of_the_caller():
 
 def test_every_target_is_a_reference():
     times, poses = path()
-    for reference in (
-        SetPoint(0, 0, 0),
-        SetPoints([0.0], [(0, 0, 0)]),
-        TimedPath(times, poses),
-    ):
+    for reference in (SetPoint(0, 0, 0), SetPoints([0.0], [(0, 0, 0)]), TimedPath(times, poses)):
         assert isinstance(reference, Reference)
 
 

@@ -11,11 +11,7 @@ from airpuck.data.windows import Past, make_windows
 from airpuck.deviation.motor_regression import accelerations_by_motor, following, twice_integrated
 
 # The regression is written down again by hand, from the same motion and motor speeds.
-from airpuck.estimate.actuation import (
-    ActuationEncoder,
-    EffectivenessPrior,
-    _motion,
-)
+from airpuck.estimate.actuation import ActuationEncoder, EffectivenessPrior, _motion
 from airpuck.evaluation.evaluate import PROTOCOLS, evaluate
 from airpuck.identification.fit import identify
 from airpuck.model.model_file import published_model

@@ -58,7 +58,7 @@ def cross_drag(along, across):
 @pytest.mark.slow
 def test_a_fit_learns_the_coefficients_of_a_users_effect():
     rung, truth = cross_drag(0.3, 0.9)
-    fit = airpuck.identify(fly(truth, 20.0), rung)
+    fit = airpuck.identify(fly(truth, 12.0), rung)
     found, known = fit.model.parameters.cross_drag, fit.model.known
     assert found == pytest.approx([0.3, 0.9], abs=0.02)
     assert (known.standard_errors[-2:] > 0).all()
@@ -69,7 +69,7 @@ def test_a_fit_learns_the_coefficients_of_a_users_effect():
 def test_a_users_effect_can_be_named_wherever_a_model_can(tmp_path):
     term = f"{EXAMPLES / 'own_effect/cross_drag.py'}:CrossDrag"
     bag, model = tmp_path / "bag", tmp_path / "model.toml"
-    airpuck.write_bag(airpuck.excite(cross_drag(0.3, 0.9)[1], 12.0, 1), bag)
+    airpuck.write_bag(airpuck.excite(cross_drag(0.3, 0.9)[1], 8.0, 1), bag)
     identified = commands.airpuck("identify", bag, "--model", f"M3+{term}", "-o", model, "--quiet")
     assert identified.returncode == 0, identified.stderr
     evaluated = commands.airpuck("evaluate", f"{model}+{term}", bag, "--json", "-")

@@ -20,7 +20,7 @@ def test_raw_bags_become_a_report_page(tmp_path: Path):
     paths = [str(Path(sys.executable).parent), os.environ["PATH"]]
     environment = {**os.environ, "PATH": os.pathsep.join(paths), "PYTHONPATH": str(ROOT / "src")}
     done = subprocess.run(
-        ["sh", str(script), str(tmp_path / "out"), "10"],
+        ["sh", str(script), str(tmp_path / "out"), "7"],
         env=environment,
         capture_output=True,
         text=True,

@@ -33,8 +33,7 @@ from airpuck.twin.settings import default_twin_settings
 PUBLISHED = published_model("M3")
 #: The model with the entries that the next fit will learn.
 MODEL = replace(
-    PUBLISHED,
-    free=PUBLISHED.free | PUBLISHED.parameters.mask(frozenset({"transport_delay"})),
+    PUBLISHED, free=PUBLISHED.free | PUBLISHED.parameters.mask(frozenset({"transport_delay"}))
 )
 SIZE = len(MODEL.free)
 SETTINGS, TUNING = default_twin_settings(), tuning_for(MODEL)
@@ -180,9 +179,7 @@ def test_a_fit_with_a_fixed_delay_is_compared_with_matching_flights(monkeypatch)
         assert found.residual_level == pytest.approx(10.0 if model.delay_learned else 2.0)
 
 
-def test_flights_that_all_hit_a_rail_do_not_determine_the_residual_level(
-    monkeypatch,
-):
+def test_flights_that_all_hit_a_rail_do_not_determine_the_residual_level(monkeypatch):
     def fly(model, *given):
         return made_up()(model, *given) if model.delay_learned else Trial(0.0, None)
 

@@ -6,12 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airpuck.faults.layout_findings import (
-    AxisSigns,
-    LayoutCheck,
-    find_axis_signs,
-    layout_findings,
-)
+from airpuck.faults.layout_findings import AxisSigns, LayoutCheck, find_axis_signs, layout_findings
 from airpuck.model.model_file import published_model
 from airpuck.physics.rigid_body import to_body
 

@@ -7,13 +7,7 @@ import pytest
 
 from airpuck import InputError, Twin, TwinSettings
 from airpuck.flight.loop import fly
-from airpuck.flight.preflight import (
-    Preflight,
-    judge_pulses,
-    judge_recording,
-    judge_test,
-    preflight,
-)
+from airpuck.flight.preflight import Preflight, judge_pulses, judge_recording, judge_test, preflight
 from airpuck.flight.pulses import (
     PulsePlan,
     PulseResponse,

@@ -103,10 +103,7 @@ def test_a_different_model_computes_different_commands(recording):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("settings", "gains", "tolerance"),
-    [
-        (CLEAN, Gains(6.5, 4.0, 20.0, 8.0), 1e-3),
-        (NOISY, Gains(12.0, 6.5, 11.0, 5.0), 0.01),
-    ],
+    [(CLEAN, Gains(6.5, 4.0, 20.0, 8.0), 1e-3), (NOISY, Gains(12.0, 6.5, 11.0, 5.0), 0.01)],
 )
 def test_the_gains_that_flew_are_recovered(plant, settings, tolerance, gains):
     log = track(M4, SET_POINTS, 3.0, settings=settings, plant=plant, gain=gains.matrix(), **PAPER)

@@ -70,9 +70,7 @@ def held(flown, tmp_path_factory):
 
 
 @pytest.mark.slow
-def test_a_lag_that_poses_determine_poorly_keeps_the_file_value_and_error(
-    held,
-) -> None:
+def test_a_lag_that_poses_determine_poorly_keeps_the_file_value_and_error(held) -> None:
     fit, lag = held, held.model.parameters.mask(LAG)
     known = fit.uncertainty
     assert known is not None

@@ -147,7 +147,7 @@ def flown(seed: int, effects: Effects | None = None):
     settings = default_twin_settings().without_on_board()
     if effects is not None:
         settings = settings.model_copy(update={"effects": effects})
-    recording = excite(BASE, 20.0, seed, settings=settings)
+    recording = excite(BASE, 16.0, seed, settings=settings)
     return preprocess(recording, BASE.vehicle)
 
 

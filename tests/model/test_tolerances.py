@@ -55,7 +55,7 @@ def test_a_wrong_file_shifts_a_fit_as_stated(three):
         ring = [p.model_copy(update={"reverse": 0.8}) for p in vehicle.propellers[::2]]
         vehicle = vehicle.model_copy(update={"propellers": tuple(ring), "pairs": ()})
     truth = nominal_model(vehicle)
-    flight = airpuck.excite(truth, 16.0, seed=4)
+    flight = airpuck.excite(truth, 10.0, seed=4)
     right = airpuck.identify(airpuck.preprocess(flight, vehicle), "M3").model
     turned = [p.model_copy() for p in vehicle.propellers]
     turned[1] = turned[1].model_copy(update={"direction_deg": turned[1].direction_deg + 3.0})

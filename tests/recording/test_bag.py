@@ -708,8 +708,7 @@ def test_the_same_recording_gives_the_same_bytes(tmp_path: Path):
 
 
 @pytest.mark.parametrize(
-    "motors",
-    [("left", "right"), SIX[::-1], tuple(f"fan_{i}" for i in range(9)), ("only",)],
+    "motors", [("left", "right"), SIX[::-1], tuple(f"fan_{i}" for i in range(9)), ("only",)]
 )
 def test_bags_of_any_craft_round_trip(tmp_path: Path, motors: tuple[str, ...]):
     made = Recording({"pose": flight()["pose"], "command": stream(50, 100, motors, 8)}, "made up")

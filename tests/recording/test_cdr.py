@@ -147,10 +147,7 @@ def test_encoding_matches_rosbags(frame: str):
     template, *expected = (
         serialise(
             POSE,
-            {
-                "header": {"stamp": {"sec": sec}, "frame_id": frame},
-                "pose": {"position": {"x": x}},
-            },
+            {"header": {"stamp": {"sec": sec}, "frame_id": frame}, "pose": {"position": {"x": x}}},
         )
         for sec, x in ((7, 8.0), (1, 0.1), (2, -0.2))
     )

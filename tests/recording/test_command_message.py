@@ -140,10 +140,7 @@ def test_pulse_widths_among_other_fields_are_read(tmp_path: Path):
     with rejected("choose its fields", "rssi, channels"):
         read(tmp_path, topic)
     chosen = CommandMapping(
-        values=tuple(f"channels[{k}]" for k in range(4)),
-        propellers=NAMES,
-        scale=0.001,
-        offset=-1,
+        values=tuple(f"channels[{k}]" for k in range(4)), propellers=NAMES, scale=0.001, offset=-1
     )
     command = read(tmp_path, topic, command=chosen)["command"]
     assert command.columns == NAMES

@@ -12,14 +12,7 @@ import pytest
 import airpuck.recording.dataset as module
 from airpuck.boundary.errors import InputError
 from airpuck.craft.vehicle import read_vehicle
-from airpuck.recording.dataset import (
-    Dataset,
-    dataset,
-    dataset_folder,
-    dataset_names,
-    fetch,
-    verify,
-)
+from airpuck.recording.dataset import Dataset, dataset, dataset_folder, dataset_names, fetch, verify
 from airpuck.recording.mapping import read_mapping
 
 from ..apparatus.refusals import rejected

@@ -106,10 +106,7 @@ def test_a_wrong_checksum_is_detected(tmp_path: Path):
     from mcap.writer import CompressionType
 
     path = write_mcap(
-        tmp_path / "a.mcap",
-        foreign_topics(),
-        chunk_size=10_000,
-        compression=CompressionType.NONE,
+        tmp_path / "a.mcap", foreign_topics(), chunk_size=10_000, compression=CompressionType.NONE
     )
     whole = read_recording(path)
     content = bytearray(path.read_bytes())

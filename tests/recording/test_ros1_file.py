@@ -67,10 +67,7 @@ INDEX = record({"op": b"\x04"}, bytes(8_000_000))
     [
         (lambda: chunk(2**31, bz2.compress(b"")), "unpacks to too much"),
         (lambda: chunk(1000, bz2.compress(bytes(10**7))), "damaged record"),
-        (
-            lambda: chunk(len(INDEX), bz2.compress(INDEX)) * 40,
-            "unpacks to more than",
-        ),
+        (lambda: chunk(len(INDEX), bz2.compress(INDEX)) * 40, "unpacks to more than"),
         (lambda: struct.pack("<I", 2**32 - 1), "cut short"),
         (lambda: record({"op": b"\x07"}, b""), "damaged record"),
         (lambda: record({}, b""), "damaged record"),

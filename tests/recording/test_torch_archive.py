@@ -16,13 +16,7 @@ from airpuck.recording.torch_archive import Refused, read_authors_experiment, re
 
 from ..apparatus.examples import examples
 from ..apparatus.refusals import rejected
-from ..apparatus.torch_archives import (
-    archive,
-    dictionary,
-    good_arrays,
-    tensor,
-    text,
-)
+from ..apparatus.torch_archives import archive, dictionary, good_arrays, tensor, text
 
 
 def test_a_valid_archive_is_read(tmp_path: Path):

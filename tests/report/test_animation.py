@@ -117,9 +117,7 @@ def test_a_page_contains_the_flight(tmp_path, name):
 
 
 def test_a_page_loads_nothing_external_and_escapes_names(tmp_path):
-    hostile = CRAFT.model_copy(
-        update={"name": "</script><script src=//evil>alert(1)</script>"},
-    )
+    hostile = CRAFT.model_copy(update={"name": "</script><script src=//evil>alert(1)</script>"})
     recording = flight()
     source = "folder/<img src=x onerror=alert(2)>"
     path = animate(Recording(recording.streams, source), tmp_path / "a.html", vehicle=hostile)

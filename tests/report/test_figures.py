@@ -114,10 +114,7 @@ def test_any_number_of_propellers_can_be_drawn(n):
             "nominal": {"thrust_N": (0.5,), "inertia_kg_m2": 3e-4},
         }
     )
-    for figure in (
-        craft_figure(vehicle),
-        thrust_figure([model_of(vehicle, "M3")]),
-    ):
+    for figure in (craft_figure(vehicle), thrust_figure([model_of(vehicle, "M3")])):
         assert len(drawn(figure, "png")) > 1000
 
 

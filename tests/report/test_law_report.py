@@ -12,12 +12,7 @@ from airpuck.control.law import Prediction
 from airpuck.flight.track import Track
 from airpuck.report import style
 from airpuck.report.animation import animate
-from airpuck.report.control_report import (
-    error_figure,
-    summary,
-    tracking_report,
-    tracking_sections,
-)
+from airpuck.report.control_report import error_figure, summary, tracking_report, tracking_sections
 from airpuck.report.plot import path_figure
 from airpuck.report.scene import plan_at, read_scene
 from airpuck.twin.tracking_study import Tracked

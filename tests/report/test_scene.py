@@ -178,10 +178,7 @@ def test_an_arrow_points_where_its_propeller_pushes(name, yaw):
             along / np.hypot(*along), [np.cos(angle), np.sin(angle)], atol=1e-12
         )
         x, y = propeller.position_m
-        place = [
-            0.3 + np.cos(yaw) * x - np.sin(yaw) * y,
-            -0.2 + np.sin(yaw) * x + np.cos(yaw) * y,
-        ]
+        place = [0.3 + np.cos(yaw) * x - np.sin(yaw) * y, -0.2 + np.sin(yaw) * x + np.cos(yaw) * y]
         np.testing.assert_allclose(start, place, atol=1e-12)
         others = np.delete(thrust_arrows(vehicle, np.zeros((1, 3)), command)[0], i, axis=0)
         np.testing.assert_array_equal(others[:, 0], others[:, 1])

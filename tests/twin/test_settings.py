@@ -35,10 +35,7 @@ EVERYTHING = TwinSettings(
     motion_capture=numbered(MotionCapture, gaps_s=((3.0, 3.5),), clock_offset_s=-math.pi),
     on_board=numbered(OnBoard, rate_hz=0.0),
     effects=numbered(
-        Effects,
-        tilt_rad=(0.01, -0.02),
-        dish_rad_m=(0.003, -0.004, 0.001),
-        friction_SI=(0.04, 0.2),
+        Effects, tilt_rad=(0.01, -0.02), dish_rad_m=(0.003, -0.004, 0.001), friction_SI=(0.04, 0.2)
     ),
     motors=numbered(
         Motors,
