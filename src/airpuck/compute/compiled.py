@@ -37,7 +37,7 @@ import contextlib
 import math
 import pickle
 from collections.abc import Callable, Hashable
-from functools import cache, wraps
+from functools import cache, partial, wraps
 from itertools import accumulate, pairwise
 from types import FunctionType, MethodType, ModuleType
 from typing import Any
@@ -155,31 +155,42 @@ def lengthened(values: np.ndarray, shortest: int = 1) -> np.ndarray:
     return np.pad(values, [(0, missing)] + [(0, 0)] * (values.ndim - 1), mode="edge")
 
 
-def program(function: Callable[..., Any], *examples: Any, compiled: bool) -> Callable[..., Any]:
+def program(
+    function: Callable[..., Any], *examples: Any, compiled: bool, known: Any = ()
+) -> Callable[..., Any]:
     """Bind a function to its array namespace, compiled for real time or as plain NumPy.
 
     Parameters
     ----------
     function : callable
-        Takes an array namespace and arrays, returns a tuple of arrays; pure.
+        Takes an array namespace, what is `known`, and arrays; returns a tuple of arrays; pure.
     *examples : array or float
         Arrays of the shapes that it will be called with.
     compiled : bool
         Whether to compile it over jax.numpy or run it over numpy.
+    known : tuple
+        Trees of numbers to bind as first arguments, such as a craft's coefficients. Other numbers
+        in their place need no other program; those inside `function` do.
 
     Returns
     -------
     callable
         A function from NumPy arrays to NumPy arrays.
     """
-    xp: Any = np
-    if compiled:
-        import jax.numpy as xp
+    if not compiled:
+        return lambda *arrays: function(np, *known, *arrays)
+    import jax
+    import jax.numpy as jnp
 
-    def bound(*arrays: Any) -> Any:
-        return function(xp, *arrays)
+    leaves, structure = jax.tree.flatten(known)
+    places = _places([np.shape(leaf) for leaf in leaves])
 
-    return _kept_program(bound, *examples) if compiled else bound
+    def bound(numbers: Any, *arrays: Any) -> Any:
+        own = [numbers[part].reshape(shape) for part, shape in places]
+        return function(jnp, *jax.tree.unflatten(structure, own), *arrays)
+
+    numbers = _joined(tuple(leaves)) if leaves else np.zeros(0)
+    return partial(_kept_program(bound, numbers, *examples), numbers)
 
 
 def _kept_program(function: Callable[..., Any], *examples: Any) -> Callable[..., Any]:
@@ -205,7 +216,9 @@ def _content(value: Any) -> Hashable:
         return _content(value.__func__), pickle.dumps(value.__self__)
     if hasattr(value, "__wrapped__"):  # compiled by JAX
         return type(value).__qualname__, _content(value.__wrapped__)
-    return value.__name__ if isinstance(value, ModuleType) else pickle.dumps(value)
+    if isinstance(value, ModuleType):
+        return value.__name__
+    return value if type(value).__name__ == "PyTreeDef" else pickle.dumps(value)
 
 
 def _compile(function: Callable[..., Any], *examples: Any) -> Callable[..., Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -16,7 +17,7 @@ from airpuck.craft.table import Contact, Table
 from airpuck.model.model_file import Model
 from airpuck.model.parameters import Parameters, make_effects
 from airpuck.physics.puck import Disc, strike
-from airpuck.physics.rigid_body import Dynamics, center_of_mass, step
+from airpuck.physics.rigid_body import Dynamics, center_of_mass, register_pytrees, step
 from airpuck.twin.settings import TwinSettings, default_twin_settings
 
 #: Longest integration step [s]: less than half the control period.
@@ -70,18 +71,25 @@ class Plant:
 
         `met` tells whether it met a rail.
         """
+        known, actuators = (self.dynamics, self.disc.inertia), self.actuators
+        kind = replace(self, dynamics=None, disc=replace(self.disc, inertia=math.nan))
 
-        def advanced(xp: Any, state: Any, drive: Any, duration: Any, scale: Any) -> Any:
-            dynamics = scaled(self.dynamics, scale[:, None])
-            lag = self.actuators.lag(xp, drive, dynamics.motor_time_constant)
+        def advanced(
+            xp: Any, dynamics: Any, inertia: Any, state: Any, drive: Any, duration: Any, scale: Any
+        ) -> Any:
+            dynamics = scaled(dynamics, scale[:, None])
+            lag = actuators.lag(xp, drive, dynamics.motor_time_constant)
             dynamics = replace(dynamics, motor_time_constant=lag)
             free = step(xp, dynamics, state, drive, duration)
-            state = rebound(xp, replace(self, dynamics=dynamics), free)
+            plant = replace(kind, dynamics=dynamics, disc=replace(kind.disc, inertia=inertia))
+            state = rebound(xp, plant, free)
             return state, (state != free).any()
 
+        if self.compiled:
+            register_pytrees()
         n = self.dynamics.configuration.shape[1]
         examples = np.zeros(6 + n), np.zeros(n), 0.0, np.ones(n)
-        return program(advanced, *examples, compiled=self.compiled)
+        return program(advanced, *examples, compiled=self.compiled, known=known)
 
 
 def scaled(dynamics: Dynamics, factor: Any) -> Dynamics:
