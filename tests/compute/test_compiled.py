@@ -9,7 +9,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from airpuck.compute.compiled import double_precision, for_batches, for_samples, lengthened, program
+from airpuck.compute.compiled import (
+    Bound,
+    double_precision,
+    for_batches,
+    for_samples,
+    lengthened,
+    program,
+)
 from airpuck.model.model_file import published_model
 from airpuck.physics.rigid_body import step
 
@@ -41,7 +48,30 @@ def test_the_program_equals_the_function_in_double_precision():
 
 def test_equal_functions_are_compiled_once():
     alike = replace(DYNAMICS, thrust=np.array(DYNAMICS.thrust))
-    assert moved(alike, 0.01) is moved(DYNAMICS, 0.01)
+    assert moved(alike, 0.01).func is moved(DYNAMICS, 0.01).func
+
+
+def test_bound_functions_share_a_program_whatever_their_numbers():
+    def scaled(xp, known, values):
+        (factor, name), shift = known
+        return (factor * values + (shift[0] if name == "first" else shift[1]),)
+
+    def bound(factor, name, shift):
+        known = (factor, name), np.array(shift)
+        return program(Bound(scaled, known), np.ones(2), compiled=True)
+
+    one, two = bound(2.0, "first", [1.0, 5.0]), bound(3.0, "first", [2.0, 5.0])
+    assert one.func is two.func is not bound(2.0, "second", [1.0, 5.0]).func
+    assert one(np.ones(2))[0].tolist() == [3.0, 3.0] and two(np.ones(2))[0].tolist() == [5.0, 5.0]
+    assert bound(2.0, "second", [1.0, 5.0])(np.ones(2))[0].tolist() == [7.0, 7.0]
+
+    def decided(xp, factor, values):
+        return (values if factor > 2 else -values,)
+
+    for factor, result in ((1.0, -1.0), (3.0, 1.0)):
+        found = program(Bound(decided, factor), np.ones(1), compiled=True)(np.ones(1))
+        assert found[0].tolist() == [result]
+    assert Bound(scaled, ((2.0, "first"), [1.0, 0.0]))(np, 4.0) == (9.0,)
 
 
 class Scale:
@@ -61,10 +91,10 @@ def test_methods_of_different_objects_are_different_programs():
 
 def test_different_functions_are_compiled_separately():
     programs = {
-        moved(DYNAMICS, 0.01),
-        moved(DYNAMICS, 0.02),
-        moved(replace(DYNAMICS, thrust=1.01 * np.asarray(DYNAMICS.thrust)), 0.01),
-        moved(replace(DYNAMICS, center_of_mass=np.array([1e-3, 0.0])), 0.01),
+        moved(DYNAMICS, 0.01).func,
+        moved(DYNAMICS, 0.02).func,
+        moved(replace(DYNAMICS, thrust=1.01 * np.asarray(DYNAMICS.thrust)), 0.01).func,
+        moved(replace(DYNAMICS, center_of_mass=np.array([1e-3, 0.0])), 0.01).func,
     }
     assert len(programs) == 4
 
@@ -74,8 +104,8 @@ def test_different_functions_are_compiled_separately():
     def thrice(xp, values):
         return (3 * values,)
 
-    assert compiled_for(twice, 2) is not compiled_for(thrice, 2)
-    assert compiled_for(twice, 2) is not compiled_for(twice, 3)
+    assert compiled_for(twice, 2).func is not compiled_for(thrice, 2).func
+    assert compiled_for(twice, 2).func is not compiled_for(twice, 3).func
     np.testing.assert_array_equal(compiled_for(thrice, 2)(np.ones(2))[0], [3, 3])
 
 

@@ -16,6 +16,7 @@ from airpuck.control.tuning import default_tuning
 from airpuck.estimate.estimator import Estimate
 from airpuck.model.parameters import nominal_parameters
 from airpuck.physics.rigid_body import acceleration
+from airpuck.twin.plant import varied
 
 from ..apparatus.changes import with_propellers
 from ..apparatus.closed_loops import (
@@ -68,9 +69,10 @@ def test_the_nominal_loop_agrees_with_python_control():
 
 
 @pytest.mark.slow
-def test_compiled_and_numpy_give_the_same_commands():
-    random = np.random.default_rng(0)
-    pair = [controller(SetPoint(0.05, 0, 0.3), compiled=c) for c in (True, False)]
+@pytest.mark.parametrize("seed", [0, 1])  # the second craft uses the first one's programs
+def test_compiled_and_numpy_give_the_same_commands(seed):
+    random, craft = np.random.default_rng(0), varied(MODEL, 0.1 * seed, seed)
+    pair = [TrackingController(craft, SetPoint(0.05, 0, 0.3), compiled=c) for c in (True, False)]
     pose, outcomes = np.zeros(3), set()
     for k in range(150):
         now = k / 100

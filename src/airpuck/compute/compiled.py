@@ -7,7 +7,8 @@ returns one, since every further array costs another microsecond. `for_batches` 
 many samples in parallel, `for_samples` for passes from one sample to the next.
 
 The functions remain plain array operations over a namespace; tests run them under NumPy. Programs
-are cached by code and content: a second controller of the same craft compiles nothing.
+are cached by code and content, but for the numbers that they take as `Bound`: a second craft of
+the same kind compiles nothing.
 
 XLA's behaviour on a CPU, as measured:
 
@@ -37,12 +38,15 @@ import contextlib
 import math
 import pickle
 from collections.abc import Callable, Hashable
+from dataclasses import dataclass
 from functools import cache, partial, wraps
 from itertools import accumulate, pairwise
 from types import FunctionType, MethodType, ModuleType
 from typing import Any
 
 import numpy as np
+
+from airpuck.compute.arrays import register_pytree
 
 _DOUBLE = np.dtype(float)
 #: XLA's options on a CPU; see above.
@@ -155,22 +159,34 @@ def lengthened(values: np.ndarray, shortest: int = 1) -> np.ndarray:
     return np.pad(values, [(0, missing)] + [(0, 0)] * (values.ndim - 1), mode="edge")
 
 
-def program(
-    function: Callable[..., Any], *examples: Any, compiled: bool, known: Any = ()
-) -> Callable[..., Any]:
+@dataclass(frozen=True, eq=False)
+class Bound:
+    """A function of an array namespace, of what is known, and of arrays: all but the latter bound.
+
+    With other numbers in `known`, such as another craft's coefficients, the program is the same.
+    It is another one for other numbers in the function's closure, and in objects that JAX does not
+    know (`airpuck.compute.arrays.register_pytree`).
+    """
+
+    function: Callable[..., Any]
+    known: Any
+
+    def __call__(self, xp: Any, *arrays: Any) -> Any:
+        """Call the function."""
+        return self.function(xp, self.known, *arrays)
+
+
+def program(function: Callable[..., Any], *examples: Any, compiled: bool) -> Callable[..., Any]:
     """Bind a function to its array namespace, compiled for real time or as plain NumPy.
 
     Parameters
     ----------
-    function : callable
-        Takes an array namespace, what is `known`, and arrays; returns a tuple of arrays; pure.
+    function : callable or Bound
+        Takes an array namespace and arrays, returns a tuple of arrays; pure.
     *examples : array or float
         Arrays of the shapes that it will be called with.
     compiled : bool
         Whether to compile it over jax.numpy or run it over numpy.
-    known : tuple
-        Trees of numbers to bind as first arguments, such as a craft's coefficients. Other numbers
-        in their place need no other program; those inside `function` do.
 
     Returns
     -------
@@ -178,19 +194,27 @@ def program(
         A function from NumPy arrays to NumPy arrays.
     """
     if not compiled:
-        return lambda *arrays: function(np, *known, *arrays)
+        return partial(function, np)
     import jax
     import jax.numpy as jnp
 
-    leaves, structure = jax.tree.flatten(known)
-    places = _places([np.shape(leaf) for leaf in leaves])
+    register_pytree(Bound)
+    leaves, structure = jax.tree.flatten(function)
+    free = [isinstance(leaf, (float, np.ndarray)) for leaf in leaves]
+    numbers = [leaf for leaf, one in zip(leaves, free, strict=True) if one]
+    fixed = tuple(leaf for leaf, one in zip(leaves, free, strict=True) if not one)
+    places = _places([np.shape(leaf) for leaf in numbers])
 
-    def bound(numbers: Any, *arrays: Any) -> Any:
-        own = [numbers[part].reshape(shape) for part, shape in places]
-        return function(jnp, *jax.tree.unflatten(structure, own), *arrays)
+    def bound(vector: Any, *arrays: Any) -> Any:
+        rest, own = iter(fixed), (vector[part].reshape(shape) for part, shape in places)
+        both = [next(own if one else rest) for one in free]
+        return jax.tree.unflatten(structure, both)(jnp, *arrays)
 
-    numbers = _joined(tuple(leaves)) if leaves else np.zeros(0)
-    return partial(_kept_program(bound, numbers, *examples), numbers)
+    vector = np.concatenate([*numbers, ()], axis=None, dtype=float)
+    try:
+        return partial(_kept_program(bound, vector, *examples), vector)
+    except jax.errors.JAXTypeError:  # a user's function needs a number's value, for a decision
+        return _kept_program(partial(function, jnp), *examples)
 
 
 def _kept_program(function: Callable[..., Any], *examples: Any) -> Callable[..., Any]:
@@ -216,6 +240,12 @@ def _content(value: Any) -> Hashable:
         return _content(value.__func__), pickle.dumps(value.__self__)
     if hasattr(value, "__wrapped__"):  # compiled by JAX
         return type(value).__qualname__, _content(value.__wrapped__)
+    if isinstance(value, partial):
+        return _content((value.func, *value.args))
+    if isinstance(value, Bound):
+        return _content(value.function), pickle.dumps(value.known)
+    if isinstance(value, tuple):
+        return tuple(map(_content, value))
     if isinstance(value, ModuleType):
         return value.__name__
     return value if type(value).__name__ == "PyTreeDef" else pickle.dumps(value)

@@ -140,7 +140,7 @@ def problem(
 
     This makes the Hessian the identity, so the tolerance means the same for all variables.
     """
-    rows, root = np.array([1.0, 1.0, arm]), math.sqrt(slack_weight)
+    rows, root = xp.array([1.0, 1.0, arm]), math.sqrt(slack_weight)
     asked = rows * request
     turns = np.array([False, False, True])
     slacks = xp.stack([xp.where(turns, 0.0, asked), xp.where(turns, asked, 0.0)], axis=1) / root

@@ -16,7 +16,7 @@ from jaxtyping import Float, Num
 
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.files import Section
-from airpuck.compute.compiled import program
+from airpuck.compute.compiled import Bound, program
 from airpuck.control.allocation import ThrustAllocator, all_finite, problem
 from airpuck.control.law import Law, LawOptions, Moment, Step
 from airpuck.control.tuning import LawSettings, Tuning, scaled
@@ -251,12 +251,12 @@ def plan_stage(
     (xp, state, motor speeds, disturbance, effectiveness, target state, target acceleration, gain)
     → plan.
     """
-    dynamics, vehicle = model.dynamics, model.vehicle
-    arm, least, most = model.radius_of_gyration, vehicle.command_min, vehicle.command_max
-    lag, drive = motor_lag(dynamics.lag, period)
+    least, most = model.vehicle.command_min, model.vehicle.command_max
+    known = model.dynamics, model.radius_of_gyration, motor_lag(model.dynamics.lag, period)
 
     def plan(
         xp: Any,
+        known: Any,
         state: Num[Any, " 6"],
         speed: Num[Any, " n"],
         disturbance: Num[Any, " 3"],
@@ -265,6 +265,7 @@ def plan_stage(
         feedforward: Num[Any, " 3"],
         gain: Num[Any, "3 6"],
     ) -> AllocationProblem:
+        dynamics, arm, (lag, drive) = known
         # A motor that seems weak gets less weight; nothing is divided by its effectiveness.
         effectiveness = xp.clip(effectiveness, *_EFFECTIVENESS)
         believed = state, speed, disturbance, effectiveness
@@ -277,7 +278,7 @@ def plan_stage(
         posed = problem(xp, arm, slack_weight, request, matrix, offset, low, high)
         return AllocationProblem(request, coasting, *posed)
 
-    return plan
+    return Bound(plan, known)
 
 
 def look_ahead(
@@ -306,13 +307,16 @@ def command_stage(model: Model, period: float) -> Callable[..., tuple[Any]]:
 
     (xp, solution, lower, upper, coasting), as in `AllocationProblem` → commands.
     """
-    dynamics, vehicle, n = model.dynamics, model.vehicle, model.vehicle.n_propellers
+    vehicle, n = model.vehicle, model.vehicle.n_propellers
     least, most = vehicle.command_min, vehicle.command_max
-    _, drive = motor_lag(dynamics.lag, period)
+    known = model.dynamics.thrust, motor_lag(model.dynamics.lag, period)[1]
 
-    def command(xp: Any, solution: Any, lower: Any, upper: Any, coasting: Any) -> tuple[Any]:
+    def command(
+        xp: Any, known: Any, solution: Any, lower: Any, upper: Any, coasting: Any
+    ) -> tuple[Any]:
+        curves, drive = known
         # Solvers satisfy bounds to their tolerance; the result satisfies them exactly.
-        speed = inverse_thrust(xp, dynamics.thrust, xp.clip(solution[:n], lower[:n], upper[:n]))
+        speed = inverse_thrust(xp, curves, xp.clip(solution[:n], lower[:n], upper[:n]))
         return (xp.clip((speed - coasting) / drive, least, most),)
 
-    return command
+    return Bound(command, known)

@@ -63,16 +63,17 @@ class IndependentAxes:
 
     def advance(self, xp: Any, mean: Any, covariance: Any, speed: Any, *pieces: Any) -> Any:
         """Advance belief and motor speeds through durations (S,) and commands (S, n)."""
-        densities = np.square(self.noise.acceleration), np.square(self.noise.disturbance)
+        white, drift = xp.array(self.noise.acceleration), xp.array(self.noise.disturbance)
         mean, speed = propagate(xp, self.dynamics, mean, speed, *pieces)
-        return mean, spread(xp, covariance, xp.sum(pieces[0]), *densities), speed
+        return mean, spread(xp, covariance, xp.sum(pieces[0]), white**2, drift**2), speed
 
     def use_pose(self, xp: Any, mean: Any, covariance: Any, speed: Any, *given: Any) -> Any:
         """Advance, then use a pose, the last argument; the last result is the innovation."""
         *pieces, pose = given
         mean, covariance, speed = self.advance(xp, mean, covariance, speed, *pieces)
         innovation = pose_difference(xp, pose, mean[:, 0])
-        mean, covariance = correct(mean, covariance, 0, innovation, np.square(self.noise.pose))
+        variance = xp.array(self.noise.pose) ** 2
+        mean, covariance = correct(mean, covariance, 0, innovation, variance)
         return mean, covariance, speed, innovation
 
     def use_imu(self, belief: Any, motors: Any, force: Any, gyro: float, noise: Any) -> Any:

@@ -16,13 +16,15 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from airpuck.compute.compiled import program
+from airpuck.compute.arrays import register_pytree
+from airpuck.compute.compiled import Bound, program
 from airpuck.estimate.actuation import LEARNED, ActuationEncoder
 from airpuck.estimate.axis_filter import IndependentAxes, Noise
 from airpuck.estimate.estimator import BEYOND, ActuationEstimate, Estimate, HeldCommands
 from airpuck.estimate.multiple_models import Memory, MultipleModels, States, certain
 from airpuck.model.model_file import Model
 from airpuck.physics.motor import motor_step
+from airpuck.physics.rigid_body import register_pytrees
 
 #: Number of one-command intervals that one call handles; longer times take several calls. A command
 #: begins to act between two poses of 240 Hz nearly half of the time.
@@ -76,9 +78,21 @@ class KalmanFilter:
         first = *equations.begin(np.zeros(3), None, 0.0), self._idle
         #: Arguments of a prediction, as examples for the compiler.
         self._examples = *first, *_arrays([(0.0, self._idle)], _PIECES_TO_PREDICT)
-        self._advance_by = program(equations.advance, *self._examples, compiled=compiled)
+        if compiled:
+            register_pytrees()
+            register_pytree(Noise)
+            register_pytree(IndependentAxes)
+
+        def advance(xp: Any, equations: Any, *given: Any) -> Any:
+            return equations.advance(xp, *given)
+
+        def use_pose(xp: Any, equations: Any, *given: Any) -> Any:
+            return equations.use_pose(xp, *given)
+
+        moving = Bound(advance, equations)
+        self._advance_by = program(moving, *self._examples, compiled=compiled)
         measured = *first, *_arrays([(0.0, self._idle)], _PIECES_TO_MEASURE), np.zeros(3)
-        self._use_pose = program(equations.use_pose, *measured, compiled=compiled)
+        self._use_pose = program(Bound(use_pose, equations), *measured, compiled=compiled)
         self._predict = self.composed(lambda *_: ())
         self.reset()
 
@@ -281,13 +295,14 @@ class KalmanFilter:
         callable
             For `predict_with`.
         """
-        predict, count = self._equations.predict, len(self._examples)
+        count, known = len(self._examples), (self._equations, then)
 
-        def both(xp: Any, *given: Any) -> tuple[Any, ...]:
-            predicted = predict(xp, *given[:count])
+        def both(xp: Any, known: Any, *given: Any) -> tuple[Any, ...]:
+            equations, then = known
+            predicted = equations.predict(xp, *given[:count])
             return *predicted, *then(xp, *predicted[:4], *given[count:])
 
-        return program(both, *self._examples, *examples, compiled=self._compiled)
+        return program(Bound(both, known), *self._examples, *examples, compiled=self._compiled)
 
     def predict_with(
         self, composed: Callable[..., Any], time: float, *more: Any

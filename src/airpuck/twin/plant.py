@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from airpuck.compute.arrays import if_any
-from airpuck.compute.compiled import program
+from airpuck.compute.compiled import Bound, program
 from airpuck.craft.actuators import Actuators, Propellers
 from airpuck.craft.table import Contact, Table
 from airpuck.model.model_file import Model
@@ -74,9 +74,8 @@ class Plant:
         known, actuators = (self.dynamics, self.disc.inertia), self.actuators
         kind = replace(self, dynamics=None, disc=replace(self.disc, inertia=math.nan))
 
-        def advanced(
-            xp: Any, dynamics: Any, inertia: Any, state: Any, drive: Any, duration: Any, scale: Any
-        ) -> Any:
+        def advanced(xp: Any, known: Any, state: Any, drive: Any, duration: Any, scale: Any) -> Any:
+            dynamics, inertia = known
             dynamics = scaled(dynamics, scale[:, None])
             lag = actuators.lag(xp, drive, dynamics.motor_time_constant)
             dynamics = replace(dynamics, motor_time_constant=lag)
@@ -89,7 +88,7 @@ class Plant:
             register_pytrees()
         n = self.dynamics.configuration.shape[1]
         examples = np.zeros(6 + n), np.zeros(n), 0.0, np.ones(n)
-        return program(advanced, *examples, compiled=self.compiled, known=known)
+        return program(Bound(advanced, known), *examples, compiled=self.compiled)
 
 
 def scaled(dynamics: Dynamics, factor: Any) -> Dynamics:
