@@ -96,10 +96,8 @@ def test_inputs_are_never_overwritten(tmp_path):
 def test_figures_and_results_replace_only_their_kind(tmp_path):
     (tmp_path / "m.toml").write_text("a model")
     plan = ("plan", "--from", 0, 0, 0, "--to", 1, 0, 0)
-    process = airpuck(*plan, "--json", tmp_path / "m.toml")
-    assert refused(process, "m.toml: --json", "exists and does not end in .json; choose another")
-    process = airpuck(*plan, "--figure", tmp_path / "m.toml")
-    assert refused(process, "m.toml: --figure", "must end in .png or .pdf or .svg")
+    for option, said in (("--json", "does not end in .json"), ("--figure", "must end in .png or")):
+        assert refused(airpuck(*plan, option, tmp_path / "m.toml"), f"m.toml: {option}", said)
     assert (tmp_path / "m.toml").read_text() == "a model"
 
 

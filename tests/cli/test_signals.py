@@ -45,27 +45,17 @@ class Solver:
 
 casadi.nlpsol = Solver
 """
-#: Two moments at which the terminal closes: each says "here" and stays there until a signal comes.
-MOMENTS = {
-    "while it imports": """
+#: Says "here", and stays there until a signal comes.
+HERE = """
 import sys, time
-
-def wait(event, given):
-    if event == "import" and given[0] == "casadi":
-        print("here", flush=True)
-        time.sleep(60.0)
-
-sys.addaudithook(wait)
-""",
-    "while it works": """
-import casadi, time
-
-def solver(*arguments):
+def here(*_):
     print("here", flush=True)
     time.sleep(60.0)
-
-casadi.nlpsol = solver
-""",
+"""
+#: Two moments at which the terminal closes.
+MOMENTS = {
+    "while it imports": "sys.addaudithook(lambda _, given: given[:1] == ('casadi',) and here())\n",
+    "while it works": "import casadi; casadi.nlpsol = here\n",
 }
 
 
@@ -110,7 +100,7 @@ def test_ctrl_c_during_planning_ends_with_one_line(tmp_path: Path):
 
 @pytest.mark.parametrize("moment", MOMENTS)
 def test_closing_the_terminal_ends_a_command_with_status_129(tmp_path: Path, moment: str):
-    with on_a_terminal(tmp_path, *PLAN, before=MOMENTS[moment]) as (process, outside):
+    with on_a_terminal(tmp_path, *PLAN, before=HERE + MOMENTS[moment]) as (process, outside):
         shown = b""
         while b"here" not in shown:
             shown += os.read(outside, 100)

@@ -210,11 +210,3 @@ def test_a_trained_network_improves_predictions_if_physics_is_missing():
     assert (after[:2] < 1.02 * before[:2]).all()
     assert fit.model.known is not None
     assert any("neural" in note for note in fit.model.known.notes)
-
-
-@pytest.mark.slow
-def test_early_stopping_prevents_harm_to_complete_physics():
-    train, other = flown(2), flown(3)
-    plain = identify(train, "M3")
-    before, after = (evaluate(one.model, other).rmse for one in (plain, with_residual(plain)))
-    assert (after < 1.03 * before).all()

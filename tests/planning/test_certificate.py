@@ -233,8 +233,7 @@ def test_a_figure_of_eight_has_a_bound_despite_its_curved_legs():
 
 @pytest.mark.slow
 def test_a_leg_that_coarse_programs_cannot_refute_ends_the_search(monkeypatch):
-    programs = []
-    usual = certificate.YawProgram
+    programs, usual = [], certificate.YawProgram
     monkeypatch.setattr(
         certificate, "YawProgram", lambda *args: programs.append(usual(*args)) or programs[-1]
     )

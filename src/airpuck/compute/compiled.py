@@ -7,7 +7,7 @@ returns one, since every further array costs another microsecond. `for_batches` 
 many samples in parallel, `for_samples` for passes from one sample to the next.
 
 The functions remain plain array operations over a namespace; tests run them under NumPy. Programs
-are cached by code and content, but for the numbers that they take as `Bound`: a second craft of
+are cached by code and content, but for the numbers that they take as `Applied`: a second craft of
 the same kind compiles nothing.
 
 XLA's behaviour on a CPU, as measured:
@@ -160,7 +160,7 @@ def lengthened(values: np.ndarray, shortest: int = 1) -> np.ndarray:
 
 
 @dataclass(frozen=True, eq=False)
-class Bound:
+class Applied:
     """A function of an array namespace, of what is known, and of arrays: all but the latter bound.
 
     With other numbers in `known`, such as another craft's coefficients, the program is the same.
@@ -181,7 +181,7 @@ def program(function: Callable[..., Any], *examples: Any, compiled: bool) -> Cal
 
     Parameters
     ----------
-    function : callable or Bound
+    function : callable or Applied
         Takes an array namespace and arrays, returns a tuple of arrays; pure.
     *examples : array or float
         Arrays of the shapes that it will be called with.
@@ -198,7 +198,7 @@ def program(function: Callable[..., Any], *examples: Any, compiled: bool) -> Cal
     import jax
     import jax.numpy as jnp
 
-    register_pytree(Bound)
+    register_pytree(Applied)
     leaves, structure = jax.tree.flatten(function)
     free = [isinstance(leaf, (float, np.ndarray)) for leaf in leaves]
     numbers = [leaf for leaf, one in zip(leaves, free, strict=True) if one]
@@ -242,7 +242,7 @@ def _content(value: Any) -> Hashable:
         return type(value).__qualname__, _content(value.__wrapped__)
     if isinstance(value, partial):
         return _content((value.func, *value.args))
-    if isinstance(value, Bound):
+    if isinstance(value, Applied):
         return _content(value.function), pickle.dumps(value.known)
     if isinstance(value, tuple):
         return tuple(map(_content, value))

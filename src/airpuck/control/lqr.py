@@ -16,7 +16,7 @@ from jaxtyping import Float, Num
 
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.files import Section
-from airpuck.compute.compiled import Bound, program
+from airpuck.compute.compiled import Applied, program
 from airpuck.control.allocation import ThrustAllocator, all_finite, problem
 from airpuck.control.law import Law, LawOptions, Moment, Step
 from airpuck.control.tuning import LawSettings, Tuning, scaled
@@ -278,7 +278,7 @@ def plan_stage(
         posed = problem(xp, arm, slack_weight, request, matrix, offset, low, high)
         return AllocationProblem(request, coasting, *posed)
 
-    return Bound(plan, known)
+    return Applied(plan, known)
 
 
 def look_ahead(
@@ -319,4 +319,4 @@ def command_stage(model: Model, period: float) -> Callable[..., tuple[Any]]:
         speed = inverse_thrust(xp, curves, xp.clip(solution[:n], lower[:n], upper[:n]))
         return (xp.clip((speed - coasting) / drive, least, most),)
 
-    return Bound(command, known)
+    return Applied(command, known)

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.compute.arrays import register_pytree
-from airpuck.compute.compiled import Bound, program
+from airpuck.compute.compiled import Applied, program
 from airpuck.estimate.actuation import LEARNED, ActuationEncoder
 from airpuck.estimate.axis_filter import IndependentAxes, Noise
 from airpuck.estimate.estimator import BEYOND, ActuationEstimate, Estimate, HeldCommands
@@ -89,10 +89,10 @@ class KalmanFilter:
         def use_pose(xp: Any, equations: Any, *given: Any) -> Any:
             return equations.use_pose(xp, *given)
 
-        moving = Bound(advance, equations)
+        moving = Applied(advance, equations)
         self._advance_by = program(moving, *self._examples, compiled=compiled)
         measured = *first, *_arrays([(0.0, self._idle)], _PIECES_TO_MEASURE), np.zeros(3)
-        self._use_pose = program(Bound(use_pose, equations), *measured, compiled=compiled)
+        self._use_pose = program(Applied(use_pose, equations), *measured, compiled=compiled)
         self._predict = self.composed(lambda *_: ())
         self.reset()
 
@@ -302,7 +302,7 @@ class KalmanFilter:
             predicted = equations.predict(xp, *given[:count])
             return *predicted, *then(xp, *predicted[:4], *given[count:])
 
-        return program(Bound(both, known), *self._examples, *examples, compiled=self._compiled)
+        return program(Applied(both, known), *self._examples, *examples, compiled=self._compiled)
 
     def predict_with(
         self, composed: Callable[..., Any], time: float, *more: Any

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from airpuck.compute.arrays import if_any
-from airpuck.compute.compiled import Bound, program
+from airpuck.compute.compiled import Applied, program
 from airpuck.craft.actuators import Actuators, Propellers
 from airpuck.craft.table import Contact, Table
 from airpuck.model.model_file import Model
@@ -88,7 +88,7 @@ class Plant:
             register_pytrees()
         n = self.dynamics.configuration.shape[1]
         examples = np.zeros(6 + n), np.zeros(n), 0.0, np.ones(n)
-        return program(Bound(advanced, known), *examples, compiled=self.compiled)
+        return program(Applied(advanced, known), *examples, compiled=self.compiled)
 
 
 def scaled(dynamics: Dynamics, factor: Any) -> Dynamics:
