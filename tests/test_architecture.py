@@ -63,7 +63,7 @@ HOUSE = [*MODULES, *HOCKEY_MODULES]
 ALL_TESTS = [*TESTS.rglob("*.py"), *(HOCKEY / "tests").rglob("*.py")]
 EXAMPLES = TESTS.parent / "examples"
 #: Lines of code in both distributions, of which the aim is 36 000, and in air hockey alone.
-MOST_LINES = 43_995
+MOST_LINES = 43_999
 MOST_HOCKEY_LINES = 4_710
 #: Modules and commands of both distributions, and lines of their tests.
 MOST_MODULES, MOST_COMMANDS, MOST_TEST_LINES = 290, 41, 54_000

@@ -86,13 +86,8 @@ def on_a_terminal(
 
 
 def test_ctrl_c_during_planning_ends_with_one_line(tmp_path: Path):
-    done = subprocess.run(
-        [sys.executable, "-c", INTERRUPTED + MAIN, *PLAN],
-        capture_output=True,
-        text=True,
-        cwd=tmp_path,
-        check=False,
-    )
+    words = sys.executable, "-c", INTERRUPTED + MAIN, *PLAN
+    done = subprocess.run(words, capture_output=True, text=True, cwd=tmp_path, check=False)
     assert done.returncode == 130, done.stderr
     assert done.stderr.strip().splitlines() == ["airpuck: interrupted"]
     assert not list(tmp_path.iterdir())

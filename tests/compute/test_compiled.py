@@ -54,16 +54,20 @@ def test_bound_functions_share_a_program_whatever_their_numbers():
         known = (factor, name), np.array(shift)
         return program(compiled.Applied(scaled, known), np.ones(2), compiled=True)
 
-    one, two = bound(2.0, "first", [1.0, 5.0]), bound(3.0, "first", [2.0, 5.0])
-    assert one.func is two.func is not bound(2.0, "second", [1.0, 5.0]).func
-    assert one(np.ones(2))[0].tolist() == [3.0, 3.0] and two(np.ones(2))[0].tolist() == [5.0, 5.0]
-    assert bound(2.0, "second", [1.0, 5.0])(np.ones(2))[0].tolist() == [7.0, 7.0]
+    given = (2.0, "first", [1.0, 5.0]), (3.0, "first", [2.0, 5.0]), (2.0, "second", [1.0, 5.0])
+    one, two, other = programs = [bound(*numbers) for numbers in given]
+    assert one.func is two.func is not other.func
+    assert [found(np.ones(2))[0][0] for found in programs] == [3.0, 5.0, 7.0]
 
-    def decided(xp, factor, values):
-        return (values if factor > 2 else -values,)
+    def decided(xp, known, values):
+        factor, first = known
+        return (values[first] if factor > 2 else -values[first],)
 
-    found = [program(compiled.Applied(decided, f), 0.0, compiled=True)(1.0)[0] for f in (1.0, 3.0)]
-    assert found == [-1.0, 1.0]
+    for factor, result in ((1.0, -1.0), (3.0, 1.0)):
+        chosen = compiled.Applied(decided, (factor, np.array([0])))
+        assert program(chosen, np.ones(2), compiled=True)(np.ones(2))[0] == result
+        multiplied = partial(lambda _, value, gain: (gain * value,), gain=factor)
+        assert program(multiplied, 0.0, compiled=True)(1.0)[0] == factor
 
 
 class Scale:

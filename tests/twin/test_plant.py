@@ -113,12 +113,12 @@ def test_without_thrust_the_centre_of_mass_moves_straight_with_constant_spin(pla
 
 @pytest.mark.slow
 def test_two_craft_share_a_compiled_simulation_and_keep_their_own_numbers():
-    changed = replace(MODEL.parameters, inertia=1e-3, motor_time_constant=0.06)
+    other = replace(MODEL.parameters, inertia=1e-3, motor_time_constant=0.06)
+    other = replace(MODEL, parameters=other)
     given = np.array([1.0, 0.1, 0.3, 2, -0.4, 5, *6 * [0.1]]), np.full(6, 0.5), np.float64(4e-3)
     moved, tilted = [], Effects(tilt_rad=(0, 0.1))
-    for effects, parameters in ((EFFECTS, MODEL.parameters), (EFFECTS, changed), (tilted, changed)):
+    for effects, craft in ((EFFECTS, MODEL), (EFFECTS, other), (tilted, other)):
         settings = default_twin_settings().model_copy(update={"effects": effects})
-        craft = replace(MODEL, parameters=parameters)
         both = [build_plant(craft, settings, compiled=c).advance for c in (True, False)]
         ours, exact = (one(*given, np.ones(6))[0] for one in both)
         np.testing.assert_allclose(ours, exact, rtol=1e-12)

@@ -96,7 +96,8 @@ def numbers_of(given: Any, shape: tuple[int | None, ...], field: str) -> np.ndar
         lengths = ", ".join("N" if length is None else str(length) for length in shape)
         words = {0: "a finite number", 1: f"{lengths} finite numbers"}
         words = words.get(len(shape), f"finite numbers of the shape ({lengths})")
-        raise InputError(f"must be {words.removeprefix('N ')}", field=field)
+        words = words.replace("N ", "" if found.ndim == 1 else "a row of ")
+        raise InputError(f"must be {words}", field=field)
     return found.astype(float, copy=False)
 
 

@@ -114,14 +114,16 @@ def output(
     """
 
     def check(context, parameter, path):  # without annotations as in `views.option`
-        if path is not None and not is_stdout(path) and not context.resilient_parsing:
-            check_written(context, parameter.opts[0], path, _KINDS[metavar])
-            if endings and path.suffix not in endings:
-                problem = f"must end in {' or '.join(endings)}"
-                raise InputError(problem, file=path, field=parameter.opts[0])
+        if path is None or context.resilient_parsing:
+            return path
+        option = parameter.opts[0]
+        if not is_stdout(path):
+            check_written(context, option, path, _KINDS[metavar])
             if replaces and path.suffix != replaces and path.is_file():
                 problem = f"exists and does not end in {replaces}; choose another name"
-                raise InputError(problem, file=path, field=parameter.opts[0])
+                raise InputError(problem, file=path, field=option)
+        if endings and path.suffix not in endings:
+            raise InputError(f"must end in {' or '.join(endings)}", file=path, field=option)
         return path
 
     return Option(*(names or ("-o", "--output")), metavar=metavar, help=help, callback=check)

@@ -200,7 +200,8 @@ def program(function: Callable[..., Any], *examples: Any, compiled: bool) -> Cal
 
     register_pytree(Applied)
     leaves, structure = jax.tree.flatten(function)
-    free = [isinstance(leaf, (float, np.ndarray)) for leaf in leaves]
+    real = float, np.ndarray
+    free = [isinstance(leaf, real) and np.asarray(leaf).dtype.kind == "f" for leaf in leaves]
     numbers = [leaf for leaf, one in zip(leaves, free, strict=True) if one]
     fixed = tuple(leaf for leaf, one in zip(leaves, free, strict=True) if not one)
     places = _places([np.shape(leaf) for leaf in numbers])
@@ -213,7 +214,7 @@ def program(function: Callable[..., Any], *examples: Any, compiled: bool) -> Cal
     vector = np.concatenate([*numbers, ()], axis=None, dtype=float)
     try:
         return partial(_kept_program(bound, vector, *examples), vector)
-    except jax.errors.JAXTypeError:  # a user's function needs a number's value, for a decision
+    except Exception:  # a user's function decides by a number, or an effect cannot be made anew
         return _kept_program(partial(function, jnp), *examples)
 
 
@@ -241,10 +242,10 @@ def _content(value: Any) -> Hashable:
     if hasattr(value, "__wrapped__"):  # compiled by JAX
         return type(value).__qualname__, _content(value.__wrapped__)
     if isinstance(value, partial):
-        return _content((value.func, *value.args))
+        return "partial", _content((value.func, *value.args, *value.keywords.items()))
     if isinstance(value, Applied):
         return _content(value.function), pickle.dumps(value.known)
-    if isinstance(value, tuple):
+    if type(value) is tuple:
         return tuple(map(_content, value))
     if isinstance(value, ModuleType):
         return value.__name__
