@@ -24,6 +24,7 @@ from airpuck.craft.table import Table
 from airpuck.data.measurement import Measurement, MeasurementKind
 from airpuck.estimate.estimator import Estimate
 from airpuck.model.model_file import Model
+from airpuck.physics.rigid_body import register_pytrees
 
 #: Status of a prediction. ``optimal``: within all limits. ``softened``: exceeds a limit of the
 #: craft's motion by as little as possible. ``iteration limit``: the solver found no solution; the
@@ -261,6 +262,8 @@ def staged(
         return lambda estimate: (estimate, ())
     axes, motors = np.zeros(3), np.zeros(model.vehicle.n_propellers)
     given = np.zeros(6), motors, axes, motors, *(law.inputs if inputs is None else inputs)
+    if compiled:
+        register_pytrees()
     compute = program(law.stage, *given, compiled=compiled)
 
     def computed(e: Estimate, *inputs: Any) -> tuple[Estimate, Sequence[Any]]:

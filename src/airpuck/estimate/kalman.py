@@ -83,16 +83,11 @@ class KalmanFilter:
             register_pytree(Noise)
             register_pytree(IndependentAxes)
 
-        def advance(xp: Any, equations: Any, *given: Any) -> Any:
-            return equations.advance(xp, *given)
-
-        def use_pose(xp: Any, equations: Any, *given: Any) -> Any:
-            return equations.use_pose(xp, *given)
-
-        moving = Applied(advance, equations)
-        self._advance_by = program(moving, *self._examples, compiled=compiled)
+        advance = Applied(lambda xp, known, *given: known.advance(xp, *given), equations)
+        self._advance_by = program(advance, *self._examples, compiled=compiled)
         measured = *first, *_arrays([(0.0, self._idle)], _PIECES_TO_MEASURE), np.zeros(3)
-        self._use_pose = program(Applied(use_pose, equations), *measured, compiled=compiled)
+        use_pose = Applied(lambda xp, known, *given: known.use_pose(xp, *given), equations)
+        self._use_pose = program(use_pose, *measured, compiled=compiled)
         self._predict = self.composed(lambda *_: ())
         self.reset()
 
